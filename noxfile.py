@@ -21,20 +21,20 @@ ROOT = Path(__file__).resolve().parent
 PYTHON = "3.11"
 
 RUN_TIME = ["scipy", "opencv-python-headless", "mediapipe", "av", "loky", "tqdm", "threadpoolctl"]
-"""What captures, one input or many."""
+"""Packages that capture, one input or many"""
 PAPER = ["torch"]
-"""What the paper's experiments and the differentiable layer need on top."""
+"""Packages of the paper's experiments and the differentiable layer"""
 EVALUATION = ["pandas", "jinja2", "joblib"]
-"""What the reports of `evaluate` need on top."""
+"""Packages of the reports of `evaluate`"""
 FARM = ["distributed"]
-"""What a batch on many machines needs on top."""
+"""Packages of batches on many machines"""
 PYTEST = ["pytest", "pytest-xdist"]
 FARM_TOOLS = ["openjd-cli"]
-"""What checks and runs farms' job files."""
+"""Check and run farms' job files"""
 SNAKEMAKE = "snakemake==9.27.1"
-"""Does, too, in an environment of its own, as it asks for other versions than constraints.txt has."""
+"""Checks farms' job files, too, in an environment of its own: constraints.txt has other versions"""
 OSC_CHECK = ["python-osc"]
-"""What reads back what is sent live."""
+"""Reads back the messages that are sent live"""
 SBOM_CHECK = ["cyclonedx-python-lib", "jsonschema"]
 CORE_NUMPY = "numpy==2.4.6"
 """NumPy where no bpy wheel decides it."""
@@ -98,16 +98,16 @@ def install(session: nox.Session, *packages: str) -> None:
     session.install("--quiet", "--constraint", str(ROOT / "constraints.txt"), *packages)
 
 
-def fetch_landmark_model(session: nox.Session) -> None:
-    """Both landmark models into the user's cache, once per machine."""
+def install_core(session: nox.Session, *packages: str) -> None:
+    """Install the packages that capture and others, and put the landmark models into the user's cache."""
+    install(session, *RUN_TIME, *packages)
     session.run("python", "scripts/fetch_landmark_model.py")
 
 
 @nox.session(python=PYTHON)
 def demo(session: nox.Session) -> None:
     """Capture the bundled samples, or the files given after `--`, into out/demo/."""
-    install(session, *RUN_TIME, DEMO_BPY)
-    fetch_landmark_model(session)
+    install_core(session, DEMO_BPY)
     session.run("python", "scripts/demo.py", *session.posargs)
 
 
@@ -119,22 +119,13 @@ def benchmark(session: nox.Session) -> None:
     hours on two cores; both halves go on where they were stopped.
     """
     full = "full" in session.posargs
-    install(session, *RUN_TIME, *PAPER, *EVALUATION, DEMO_BPY)
-    fetch_landmark_model(session)
+    install_core(session, *PAPER, *EVALUATION, DEMO_BPY)
     size = "full" if full else "small"
     pictures, report = f"out/benchmark/{size}", f"out/benchmark/{size}-report"
     counts = [] if full else ["--stills", "5", "--clips", "1", "--frames", "5"]
     solvers = "raw,fused,paper,paper-a-plus,fast" if full else "raw,fused,paper-a,fast"
     session.run("python", "scripts/render_benchmark.py", pictures, *counts)
     session.run("python", "-m", "handfit_core", "evaluate", pictures, "--solvers", solvers, "-o", report)
-
-
-@nox.session(python=PYTHON)
-def arms(session: nox.Session) -> None:
-    """Render people who gesture, capture them with arms, and print how far these are off: into out/arms/."""
-    install(session, *RUN_TIME, *PAPER, "anny", DEMO_BPY)
-    fetch_landmark_model(session)
-    session.run("python", "scripts/measure_arms.py", "out/arms", *session.posargs)
 
 
 @nox.session(python=PYTHON)
@@ -153,15 +144,14 @@ def slow(session: nox.Session, part: str) -> None:
 
 @nox.session(venv_backend="none")
 def release_check(session: nox.Session) -> None:
-    """What `.ci/run` leaves out, one to two hours: before a release, or after a change of what it covers."""
+    """All that `.ci/run` leaves out, one to two hours: for releases and changes of what it covers."""
     session.run(sys.executable, "-m", "nox", "-s", *RELEASE_CHECK, "--parallel", "2", external=True)
 
 
 def run_tests(session: nox.Session, part: str, marked: str) -> None:
     if part == "core":
         tools = (*SBOM_CHECK, *FARM_TOOLS, *OSC_CHECK, *PYTEST)
-        install(session, *RUN_TIME, *PAPER, *EVALUATION, *FARM, CORE_NUMPY, *tools)
-        fetch_landmark_model(session)
+        install_core(session, *PAPER, *EVALUATION, *FARM, CORE_NUMPY, *tools)
         clients = {**vrm_clients(session), **snakemake(session)}
         run_pytest(session, "tests/core", marked=marked, allowed_skips=NOT_IN_CI, env=clients, workers=2)
     else:
@@ -175,9 +165,9 @@ def other_machines(session: nox.Session) -> None:
     What only this processor's rounding makes true is not true, and a Python of one's own may lack the
     landmark network of December 2020. The open hand is built here from its data, and is the one that ships.
     """
-    install(session, *RUN_TIME, *PAPER, "anny", CORE_NUMPY, *PYTEST)
-    fetch_landmark_model(session)
-    run_as_another_processor(session, *NUMBERS)
+    install_core(session, *PAPER, "anny", CORE_NUMPY, *PYTEST)
+    if platform.machine() in ("x86_64", "AMD64"):  # others have no such choice
+        run_pytest(session, *NUMBERS, env=OTHER_PROCESSOR, workers=2)
     without = {"HANDFIT_LANDMARKS_2020": "none"}
     fewer = f"{NOT_IN_CI},landmark network of December 2020"
     run_pytest(session, *WITH_ONE_NETWORK, allowed_skips=fewer, env=without, workers=2)
@@ -196,13 +186,13 @@ def window_slow(session: nox.Session) -> None:
 
 
 def run_in_window(session: nox.Session, marked: str) -> None:
-    install(session, *RUN_TIME, BPY["4.5"], *PYTEST)
-    fetch_landmark_model(session)
+    install_core(session, BPY["4.5"], *PYTEST)
     run_pytest(session, "tests/window", marked=marked, env={"HANDFIT_ZIP": built_zip()})
 
 
 def vrm_clients(session: nox.Session) -> dict[str, str]:
-    """What plays VRM animations and checks glTF files, where there is npm; returns how tests find it."""
+    """Install a player of VRM animations and a validator of glTF files, where there is npm; returns the
+    variable by which tests find them."""
     if shutil.which("npm") is None:
         return {}
     folder = Path(session.virtualenv.location) / "vrm-clients"
@@ -214,7 +204,7 @@ def vrm_clients(session: nox.Session) -> dict[str, str]:
 
 
 def snakemake(session: nox.Session) -> dict[str, str]:
-    """Returns how tests find it."""
+    """Install Snakemake; returns the variable by which tests find it."""
     folder = Path(session.virtualenv.location) / SNAKEMAKE
     if not (folder / "bin" / "snakemake").exists():
         session.run("python", "-m", "venv", str(folder))
@@ -263,8 +253,7 @@ def built_zip() -> str:
 
 
 def run_blender_tests(session: nox.Session, version: str, marked: str = "") -> None:
-    install(session, *RUN_TIME, BPY[version], *PYTEST, *(FARM if version == "4.5" else []))
-    fetch_landmark_model(session)
+    install_core(session, BPY[version], *PYTEST, *(FARM if version == "4.5" else []))
     if version == "4.5":  # the real Blender has its turn beside one of the wheels
         run_pytest(session, "tests/blender", "tests/e2e", marked=marked, workers=2)
     else:
@@ -280,20 +269,13 @@ def run_blender_tests(session: nox.Session, version: str, marked: str = "") -> N
         run_pytest(session, *paths, allowed_skips=fewer, env=env, workers=2)
 
 
-def run_as_another_processor(session: nox.Session, *paths: str) -> None:
-    """Not where a machine of another kind has no such choice."""
-    if platform.machine() in ("x86_64", "AMD64"):
-        run_pytest(session, *paths, env=OTHER_PROCESSOR, workers=2)
-
-
 @nox.session(python=PYTHON)
 def hostile(session: nox.Session) -> None:
     """Hostile files, names and .blends, thousands of them, each within limits of time and memory.
 
     `-- -m quick`: a part of each kind; `-- -k NAME`: one.
     """
-    install(session, *RUN_TIME, BPY["4.5"], *PYTEST)
-    fetch_landmark_model(session)
+    install_core(session, BPY["4.5"], *PYTEST)
     run_pytest(session, "tests/hostile", workers=2, spread="worksteal")
 
 

@@ -209,6 +209,7 @@ class _TextOutput:
     _VERBS = {  # noqa: RUF012
         "detect": "finding hands",
         "fit": "fitting      ",
+        "arms": "finding arms ",
         "join": "joining views",
         "score": "scoring      ",
         "lens": "reading film ",

@@ -37,7 +37,7 @@ def main(argv: Sequence[str] | None = None, default_inputs: Sequence[str] = ()) 
 
 
 def _own_command() -> tuple[str, ...]:
-    """What starts this script once more: with Python, or with Blender and what it was told before `--`."""
+    """The command that starts this script again: with Python, or with Blender and its options before `--`."""
     import bpy
 
     if not bpy.app.binary_path:

@@ -85,7 +85,7 @@ def _refuse_long_paths(wheels: Sequence[Wheel]) -> None:
 
 
 def table(path: Path, wheels: Sequence[Wheel]) -> str:
-    """What each part of a zip costs, as Markdown, and what a Blender unpacks beside the zip's contents."""
+    """Sizes of a zip's parts, packed and unpacked, as Markdown, and the total that a Blender unpacks."""
     rows = [
         (w.name, w.version, licence(w), " ".join(w.pythons), w.size, sum(w.members.values()))
         for w in sorted(wheels, key=lambda wheel: -wheel.size)

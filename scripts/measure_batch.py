@@ -23,7 +23,7 @@ from handfit_core.capturing.pipeline import capture
 from handfit_core.common.errors import HandfitError
 from handfit_core.take.sheet import write_sheet
 from handfit_core.tasks.capture import Settings, note_failure
-from handfit_core.tasks.record import Result, attempt
+from handfit_core.tasks.record import Attempt, Result
 from handfit_core.tasks.report import read_results, write_report
 from handfit_core.tasks.run import run_tasks
 from handfit_core.tasks.task import Task, make_tasks
@@ -67,12 +67,12 @@ def measure_photos(args: argparse.Namespace, folder: Path) -> None:
         take.save(folder / "take.npz")
         write_sheet(take, folder / "sheet.jpg")
     seconds = {"captures alone": time.perf_counter() - began}
-    workers: dict[str, Workers] = {"--jobs 1": Workers(), "--jobs 2": LocalProcesses(2)}
-    for name, those in workers.items():
-        began = time.perf_counter()
-        output = folder / name
+    for jobs in (1, 2):
+        began, name = time.perf_counter(), f"--jobs {jobs}"
+        output, settings = folder / name, Settings(options.to_message(), run=name)
         tasks = make_tasks([str(inputs)], options, output, grouping="separate")
-        for _ in run_tasks(tasks, output, Settings(options.to_message(), run=name), those):
+        workers = LocalProcesses(output, settings, jobs) if jobs > 1 else Workers(output, settings)
+        for _ in run_tasks(tasks, workers):
             pass
         write_report(output, read_results(output, tasks))
         seconds[name] = time.perf_counter() - began
@@ -84,23 +84,25 @@ def measure_photos(args: argparse.Namespace, folder: Path) -> None:
 
 def empty_task(task: Task, output: Path, settings: Settings) -> Result:
     """A task in which nothing is done but writing its record."""
-    return note_failure(task, output, settings, [attempt("nothing was captured", "Nothing", 0.0)])
+    return note_failure(task, output, settings, [Attempt.now("nothing was captured", "Nothing")])
 
 
 def measure_empty_tasks(args: argparse.Namespace, folder: Path) -> None:
-    """What a tenth of the tasks and all of them cost each."""
+    """Time of each task, of a tenth of the tasks and of all."""
     print("empty tasks, ms each: planning     doing   looking reporting")
     for count in (max(1, args.tasks // 10), args.tasks):
         inputs, output = folder / f"in{count}", folder / f"out{count}"
         inputs.mkdir()
         for number in range(count):
             (inputs / f"{number:06}.jpg").write_bytes(b"%d" % number)
-        workers = LocalProcesses(2) if args.scheduler is None else DaskWorkers(args.scheduler, 2)
+        workers = LocalProcesses(output, Settings(run="now"), 2)
+        if args.scheduler is not None:
+            workers = DaskWorkers(output, Settings(run="now"), args.scheduler, 2)
         workers.run = empty_task
         times = [time.perf_counter()]
         tasks = make_tasks([str(inputs)], CaptureOptions(), output, grouping="separate")
         times.append(time.perf_counter())
-        for _ in run_tasks(tasks, output, Settings(run="now"), workers):
+        for _ in run_tasks(tasks, workers):
             pass
         times.append(time.perf_counter())
         results = read_results(output, tasks)

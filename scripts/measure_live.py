@@ -1,14 +1,13 @@
 #!/usr/bin/env python3
-"""How fast and how well hands are followed live, as one table.
+"""Measure speed and accuracy of the live preview, as one table.
 
     python scripts/measure_live.py --minutes 5 --truth samples/ground_truth
     python scripts/measure_live.py CLIP --minutes 5
 
 A process of its own serves the clip as MJPEG from 127.0.0.1, 30 pictures of 640 x 480 a second, over and
-over, and paints the time into each picture; for two hands it stands there twice, once mirrored. Then the
-command `live` plays and records the clip, and what it captures is compared with a capture of the recording.
-`--truth` compares the preview with the full capture, both against labelled pictures (index.json) that are
-played as frames.
+over, and paints the time into each picture; for two hands it stands there twice, once mirrored. `--truth`
+compares the preview with the full capture, both against labelled pictures (index.json) that are played as
+frames.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from pathlib import Path
@@ -41,10 +39,9 @@ from handfit_core.evaluate.metrics import similarity_aligned_distances
 from handfit_core.hand_model import load_model
 from handfit_core.media.opening import open_media
 from handfit_core.media.source import Frame
-from handfit_core.take import Take
 
 Row = tuple[str, str, float]
-"""What is measured, what is wanted of it, and its value"""
+"""Name of a figure, the limit that it should keep, and its value"""
 
 CLIP: Final = str(ROOT / "samples" / "rendered_hand" / "hand.%04d.jpg")
 SIZE: Final = (640, 480)
@@ -75,7 +72,6 @@ def main(argv: list[str] | None = None) -> int:
         print(f"{'':<40} {'wanted':>10} {'measured':>10}")
         for hands in (1, 2):
             report(stream(args.clip, hands, 60.0 * args.minutes))
-        report(recorded(args.clip))
         if args.truth:
             report(truth(args.truth))
     except HandfitError as error:
@@ -123,7 +119,7 @@ def stamp_of(rgb: np.ndarray) -> float:
     return sum(1 << bit for bit, value in enumerate(rgb[BLOCK // 2, middles, 1]) if value > 127) / 1e4
 
 
-def serve(shown: list[np.ndarray], fps: float = FPS) -> None:
+def serve(shown: list[np.ndarray]) -> None:
     """Serve pictures as a stream to one client after another until stdin closes; prints the port."""
 
     class Stream(http.server.BaseHTTPRequestHandler):
@@ -137,7 +133,7 @@ def serve(shown: list[np.ndarray], fps: float = FPS) -> None:
             began = time.perf_counter()
             there_and_back = itertools.cycle([*shown, *shown[::-1]])
             for number, bgr in enumerate(there_and_back):
-                time.sleep(max(0.0, began + number / fps - time.perf_counter()))
+                time.sleep(max(0.0, began + number / FPS - time.perf_counter()))
                 jpeg = cv2.imencode(".jpg", stamped(bgr, time.perf_counter()))[1].tobytes()
                 head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
                 try:
@@ -197,21 +193,6 @@ def _followed(run: Live, hands: int, seconds: float) -> list[Row]:
         (f"{name}: longest frame, ms", "<= 100", longest),
         (f"{name}: memory, growth MB", "<= 50", max(memory) - max(memory[:tenth])),
     ]
-
-
-def recorded(clip: str) -> list[Row]:
-    """How far the take of the command `live` lies from a capture of what it recorded. Raises HandfitError."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "take.npz"
-        command = [sys.executable, "-m", "handfit_core", "live", f"file:{clip}", "-o", str(path)]
-        subprocess.run([*command, "--progress", "none"], cwd=ROOT, check=True, stderr=subprocess.DEVNULL)
-        take, again = Take.load(path), capture(path.with_suffix(".mkv"))
-    apart = [
-        np.nanmax(np.abs(getattr(one, name) - getattr(other, name)))
-        for one, other in zip(take.hands, again.hands, strict=True)
-        for name in ("global_orient", "hand_pose", "transl")
-    ]
-    return [("recording: farthest from its capture", "<= 1e-6", float(max(apart)))]
 
 
 def resident_mb() -> float:

@@ -33,7 +33,7 @@ from scripts.extension.wheels import PLATFORMS, sha256_of
 
 
 class ReleaseError(Exception):
-    """What keeps a release from being made, in one sentence."""
+    """An obstacle to the release, in one sentence."""
 
 
 def main(argv: Sequence[str] | None = None, repository: Path = ROOT) -> int:
@@ -124,7 +124,7 @@ def write_checksums(output: Path) -> None:
 
 
 def _git(repository: Path, *arguments: str) -> str:
-    """What git answers. Raises ReleaseError, also outside of a repository."""
+    """The output of a git command. Raises ReleaseError, also outside of a repository."""
     done = subprocess.run(
         ["git", *arguments], cwd=repository, capture_output=True, text=True, encoding="utf-8", check=False
     )

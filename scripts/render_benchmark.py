@@ -39,12 +39,12 @@ from scripts.benchmark.stills import still_shot
 RECIPE = 1
 """Raise it when the same seed no longer gives the same pictures"""
 SETTINGS = "render_settings.json"
-"""In the output folder: what its pictures were made with"""
+"""File in the output folder with the settings of its pictures"""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Which pictures there are to be."""
+    """Numbers, sizes and seed of the pictures to render."""
 
     stills: int
     clips: int

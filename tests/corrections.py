@@ -7,10 +7,10 @@ import numpy as np
 from handfit_core.edit.corrections import Correction, CorrectionField
 
 
-def correction(rng: np.random.Generator, spread: float = 6.0, size: float = 0.4, **fields) -> Correction:
+def correction(rng: np.random.Generator, spread: float = 6.0, **fields) -> Correction:
     return Correction(
         {8: (1.0, 2.0)},
-        rng.normal(scale=size, size=(16, 3)),
+        rng.normal(scale=0.4, size=(16, 3)),
         rng.normal(scale=0.01, size=3),
         spread,
         **fields,

@@ -29,7 +29,7 @@ class Filmed:
         rays = cv2.undistortPointsIter(grid, matrix, np.array(lens.distortion), np.eye(3), np.eye(3), until)
         self._rays = np.concatenate([rays[:, 0], np.ones((len(rays), 1))], axis=-1)
 
-    def picture(self, rotvec: np.ndarray, place: np.ndarray, noise: float = 2.0) -> np.ndarray:
+    def picture(self, rotvec: np.ndarray, place: np.ndarray) -> np.ndarray:
         """The board, turned about its middle, which lies at `place` in the camera frame, metres."""
         rotation, _ = cv2.Rodrigues(np.asarray(rotvec, dtype=float))
         height, width = self._board.shape
@@ -42,22 +42,20 @@ class Filmed:
             self._board, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=60
         )
         seen = cv2.resize(seen, (self.lens.width, self.lens.height), interpolation=cv2.INTER_AREA)
-        grain = np.random.default_rng(seen.size + int(seen[::7, ::7].sum())).normal(0.0, noise, seen.shape)
+        grain = np.random.default_rng(seen.size + int(seen[::7, ::7].sum())).normal(0.0, 2.0, seen.shape)
         return np.clip(cv2.GaussianBlur(seen, (0, 0), 0.7) * 0.8 + 20.0 + grain, 0, 255).astype(np.uint8)
 
 
 Pose = tuple[np.ndarray, np.ndarray]
 
 
-def all_around(
-    lens: Lens, frames: int, *, reach: float = 1.0, tilt: float = 0.6, seed: int = 0
-) -> list[Pose]:
-    """Poses (rotation vector, place) all over the middle `reach` of the picture and up to `tilt` radians."""
-    rng = np.random.default_rng(seed)
+def all_around(lens: Lens, frames: int, *, tilt: float = 0.6) -> list[Pose]:
+    """Poses (rotation vector, place) all over the picture and up to `tilt` radians."""
+    rng = np.random.default_rng(0)
     k, poses = lens.intrinsics, []
     for _ in range(frames):
         depth = SCREEN * k.fx / lens.width / rng.uniform(0.45, 0.9)
-        away = rng.uniform(-1.0, 1.0, 2) * (lens.width, lens.height) * 0.28 * reach
+        away = rng.uniform(-1.0, 1.0, 2) * (lens.width, lens.height) * 0.28
         place = np.array([away[0] / k.fx, away[1] / k.fy, 1.0]) * depth
         poses.append((rng.uniform(-tilt, tilt, 3) * (1.0, 1.0, 0.4), place))
     return poses

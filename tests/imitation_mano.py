@@ -132,9 +132,9 @@ def imitation_arrays(
     }
 
 
-def imitation_model(side: str = "right", *, seed: int = 0, pose_blendshapes: bool = True) -> HandModel:
+def imitation_model(side: str = "right", *, pose_blendshapes: bool = True) -> HandModel:
     """An imitation as a HandModel, without going through a file."""
-    arrays = imitation_arrays(side, seed=seed)
+    arrays = imitation_arrays(side)
     arrays |= {"faces": arrays["f"], "joint_regressor": arrays["J_regressor"]}
     arrays |= {
         "posedirs": arrays["posedirs"] * pose_blendshapes,

@@ -66,10 +66,10 @@ def person(
     return Person((hands[0], hands[1]), points, body_of(points))
 
 
-def body_of(points: np.ndarray, noise: float = 0.0, seed: int = 0) -> BodyTrack:
+def body_of(points: np.ndarray, noise: float = 0.0) -> BodyTrack:
     """What is seen of arms (2, T, 3, 3); `noise`: metres, of each point in each frame by itself."""
     count = points.shape[1]
-    noisy = points + noise * np.random.default_rng(seed).normal(size=points.shape)
+    noisy = points + noise * np.random.default_rng(0).normal(size=points.shape)
     pixels, world = np.full((count, NUM_BODY_POINTS, 2), 0.0), np.zeros((count, NUM_BODY_POINTS, 3))
     for arm, side in zip(noisy, SIDES, strict=True):
         of_arm = [of[side] for of in (SHOULDERS, ELBOWS, WRISTS)]

@@ -49,7 +49,6 @@ class Tensor:
     shape: tuple[float, ...]
     strides: tuple[float, ...]
     offset: int = 0
-    parameter: bool = False
 
 
 def tensor(array: np.ndarray) -> Tensor:
@@ -91,11 +90,7 @@ class _Pickler(pickle._Pickler):
 
     def save_tensor(self, made: Tensor) -> None:
         parts = made.storage, made.offset, made.shape, made.strides, False, OrderedDict()
-        if made.parameter:
-            inner = Tensor(made.storage, made.shape, made.strides, made.offset)
-            self.save_reduce(Name("torch._utils", "_rebuild_parameter"), (inner, True, OrderedDict()))
-        else:
-            self.save_reduce(Name("torch._utils", "_rebuild_tensor_v2"), parts)
+        self.save_reduce(Name("torch._utils", "_rebuild_tensor_v2"), parts)
 
     dispatch |= {Name: save_name, np.ndarray: save_array, Storage: save_storage, Tensor: save_tensor}
 

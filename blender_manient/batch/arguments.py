@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 from handfit_core.tasks.arguments import add_batch_arguments
@@ -51,7 +50,5 @@ def add_commands(
     for name, said in COMMANDS.items():
         parser = commands.add_parser(name, help=said, description=f"{said[0].upper()}{said[1:]}.")
         parser.set_defaults(command=name, debug=False)
-        if name == EXPORT:
-            parser.add_argument("job", type=Path, help="a file that says which")
-        elif name in names:
+        if name in names and name != EXPORT:
             add_arguments(parser, default_inputs, default_python=default_python, command=name)

@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any, cast
 
 import bpy
 
@@ -33,8 +33,9 @@ from ..scene.characters import (
 )
 from ..scene.finding_offset import finding_offset
 from ..scene.moving_body import moving_range
-from ..scene.onto_character import Into, TransferOptions, Wrist, applying, motion_of, shortcomings
+from ..scene.onto_character import applying, motion_of, shortcomings
 from ..scene.timing import Timing, in_scene, set_timing, timing_in
+from ..scene.transfer_options import Into, TransferOptions, Wrist, add_argument
 
 _HANDS: dict[Side, str] = {"left": "left", "right": "right"}
 """Which captured hand each of the character's gets where nobody says"""
@@ -66,38 +67,14 @@ def add_character_arguments(parser: argparse.ArgumentParser, *, required: bool =
         help="which bones are its hands, as the panel's Export Rig writes it (default: those of your saved "
         "rig that fits, else those that are recognised)",
     )
-    group.add_argument(
-        "--wrist",
-        choices=[each.lower() for each in get_args(Wrist)],
-        help="what of the hand's own motion is applied: none, how it turns, or also where it goes (default: "
-        "fingers)",
-    )
-    group.add_argument(
-        "--reference",
-        type=float,
-        metavar="FRAME",
-        help="the frame in which the character's hand is as it is to be in the captured pose; for --wrist "
-        "(default: the first with all hands)",
-    )
-    group.add_argument(
-        "--into",
-        choices=[each.lower() for each in get_args(Into)],
-        help="a new action, an NLA strip above all others, or the present action (default: new)",
-    )
-    group.add_argument(
-        "--time-offset",
-        metavar="FRAMES",
-        help="by how many frames of its scene the motion comes later, for a character that moves already, or "
-        "auto: where the captured wrists move as its hands do (default: 0)",
-    )
-    group.add_argument(
-        "--outside",
-        action="store_true",
-        help="with --arms, hands are pushed out of the character's trunk and head, which capsules stand for",
-    )
-    group.add_argument(
-        "--no-contacts", action="store_true", help="do not keep fingertips together that touch in the capture"
-    )
+    add_argument(group, "wrist", "--wrist", " (default: fingers)")
+    first = ", for --wrist (default: the first with all hands)"
+    add_argument(group, "reference", "--reference", first, type=float, metavar="FRAME")
+    add_argument(group, "into", "--into", " (default: new)")
+    found = ", or auto: where the captured wrists move as its hands do (default: 0)"
+    add_argument(group, "time_offset", "--time-offset", found, metavar="FRAMES")
+    add_argument(group, "arms_outside", "--outside", "; with --arms", action="store_true")
+    add_argument(group, "contacts", "--no-contacts", "; with this they need not", action="store_true")
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,37 +1,34 @@
 """What a batch makes of takes: files of other programs, .blend files and previews.
 
-`export` is what a process does that makes them: one Blender turns many takes into files, one after another.
+`export` is what a Blender does that the core's second step (`tasks/exporting.py`) has started: it turns takes
+into files, one after another.
 """
 
 from __future__ import annotations
 
 import argparse
-import faulthandler
 import json
 import os
 import sys
-import time
 import traceback
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import bpy
 
 from handfit_core.common.errors import HandfitError, OptionError
 from handfit_core.take import Take
+from handfit_core.tasks.arguments import EXPORTED
 from handfit_core.tasks.inputs import PREVIEW_SUFFIX
-from handfit_core.tasks.progress import say
-from handfit_core.tasks.record import remove_abandoned
-from handfit_core.tasks.task import TAKE_SUFFIX, Task, fingerprint
+from handfit_core.tasks.task import TAKE_SUFFIX, fingerprint
 
 from ..exporters import EXPORTERS, find_exporter
 from ..exporters.export_hands import Stage, export_hands, export_take
 from ..scene.build import build_take
 from ..scene.preview import render_preview, spread_frames
 from .character import Character
-from .exported import Exported
 
 PREVIEW = "preview"
 """The format, beside those of EXPORTERS, that --preview adds"""
@@ -48,10 +45,7 @@ _MAKING = (
     "no_correctives",
 )
 """Arguments that decide what files hold, beside those of the capture"""
-_GIVEN = (
-    *(*_MAKING, "format", "preview", "apply_to", "bones", "model", "max_megapixels"),
-    *("again", "overwrite", "timeout", "progress"),
-)
+_GIVEN = (*_MAKING, "format", "preview", "apply_to", "bones", "model", "max_megapixels")
 
 
 @dataclass(frozen=True)
@@ -89,36 +83,26 @@ class Exports:
         return json.dumps([options, fingerprint(files)])
 
 
-def export(job: Path, *, keep_addons: bool) -> None:
-    """Turn the takes of some tasks into files, as a JSON file says: the `given` of Exports, the folder of
-    results (`output`), and the `tasks`. The file `log` beside it gets an object a line: the name of each task
-    when it is begun, and the same with an `error`, empty where there is none, when it is over."""
+def export(*, keep_addons: bool) -> None:
+    """Turn takes into files, as lines of JSON on stdin say: first `given` of Exports, then of each take its
+    `folder`, its `name`, the `formats`, and the `model` that is taken instead of its own. Each is answered by
+    a line on stdout: what was `made`, as sizes of files by format, `warnings`, `character`, and an `error`,
+    empty where there is none."""
     sys.stdout.flush()
-    said = os.fdopen(os.dup(1), "w", encoding=sys.stdout.encoding, errors="backslashreplace")
+    answers = os.fdopen(os.dup(1), "w", encoding="ascii")
     os.dup2(2, 1)  # what Blender and its exporters print
-    content = json.loads(job.read_text())
-    exports = Exports.of_arguments(argparse.Namespace(**content["given"]))
-    key, output, parent = exports.key, Path(content["output"]), os.getppid()
-    with job.with_suffix(".log").open("w") as log:
-        for task in (Task(**fields) for fields in content["tasks"]):
-            if os.getppid() != parent:  # it was killed, and somebody may go on with its work
-                break
-            print(json.dumps({"name": task.name}), file=log, flush=True)
-            error = _export(exports, task, Exported(task, output, key), keep_addons=keep_addons)
-            print(json.dumps({"name": task.name, "error": error}), file=log, flush=True)
-            if not error:
-                tell(task, error, exports.given["progress"], said)
-
-
-def tell(task: Task, error: str, style: str, stream: TextIO | None = None) -> None:
-    """Say that files of a take were made, or why not; `style` is that of --progress."""
-    if style == "json":
-        status = "failed" if error else "ok"
-        event = {"event": "exported", "task": task.key, "name": task.name, "status": status, "error": error}
-        say(json.dumps(event), stream or sys.stdout)
-    elif style == "text":
-        said = f"failed: {task.shown}: {error}" if error else f"exported: {task.shown}"
-        say(said, stream or sys.stdout)
+    exports = Exports.of_arguments(argparse.Namespace(**json.loads(sys.stdin.readline())))
+    for line in sys.stdin:
+        answer: dict[str, Any] = {"made": {}, "warnings": [], "character": None, "error": ""}
+        try:
+            _make(exports, answer, **json.loads(line), keep_addons=keep_addons)
+        except HandfitError as error:
+            answer["error"] = str(error)
+        except Exception as error:
+            traceback.print_exc()
+            said = " ".join(str(error).split())
+            answer["error"] = f"unexpected {type(error).__name__}: {said} (see --debug)"
+        print(f"{EXPORTED}{json.dumps(answer)}", file=answers, flush=True)
 
 
 def start_empty(*, keep_addons: bool) -> None:
@@ -130,50 +114,32 @@ def start_empty(*, keep_addons: bool) -> None:
         bpy.ops.wm.read_factory_settings(use_empty=True)
 
 
-def _export(exports: Exports, task: Task, exported: Exported, *, keep_addons: bool) -> str:
-    """Make what is missing of a take. Returns why that failed; empty where it did not."""
-    given, started = exports.given, time.perf_counter()
-    try:
-        left = exported.left(exports.formats, again=given["again"], overwrite=given["overwrite"])
-        exported.begin(left)
-        remove_abandoned(exported.folder)
-        if given["timeout"]:  # ends this process, whatever hangs
-            faulthandler.dump_traceback_later(given["timeout"], exit=True)
-        try:
-            _make(exports, task, exported, left, keep_addons=keep_addons)
-        finally:
-            faulthandler.cancel_dump_traceback_later()
-            exported.result.seconds += round(time.perf_counter() - started, 3)
-            if exported.formats:
-                exported.save()
-    except HandfitError as error:
-        return str(error)
-    except Exception as error:
-        traceback.print_exc()
-        return f"unexpected {type(error).__name__}: {' '.join(str(error).split())} (see --debug)"
-    return ""
-
-
 def _make(
-    exports: Exports, task: Task, exported: Exported, formats: Sequence[str], *, keep_addons: bool
+    exports: Exports,
+    answer: dict[str, Any],
+    folder: str,
+    name: str,
+    model: str | None,
+    formats: Sequence[str],
+    *,
+    keep_addons: bool,
 ) -> None:
-    """Write a take in some formats, each of which is noted in `exported`. Raises HandfitError."""
-    given, folder, name = exports.given, exported.folder, task.name
-    take = Take.load(folder / f"{name}{TAKE_SUFFIX}")
-    model = given["model"] if task.take else None
-    made, warnings = exported.formats, exported.result.warnings
+    """Write a take in some formats, each of which is noted in the answer. Raises HandfitError."""
+    given, at = exports.given, Path(folder)
+    take = Take.load(at / f"{name}{TAKE_SUFFIX}")
+    made, warnings = answer["made"], answer["warnings"]
     start_empty(keep_addons=keep_addons)
     left = [fmt for fmt in formats if fmt != PREVIEW]
     if exports.character is not None and left:
-        character, exported.result.character, told = exports.character.put(take, model)
+        character, answer["character"], told = exports.character.put(take, model)
         warnings += told
         for fmt in left:
             stage = Stage.of_scene(bpy.context.scene)
-            made[fmt] = _sizes(export_hands([character], stage, folder, name, fmt))
+            made[fmt] = _sizes(export_hands([character], stage, at, name, fmt))
         left = []
         start_empty(keep_addons=keep_addons)
     frames = spread_frames(take, 3) if PREVIEW in formats else []
-    preview = folder / f"{name}{PREVIEW_SUFFIX}"
+    preview = at / f"{name}{PREVIEW_SUFFIX}"
     if left or frames:
         megapixels = given["max_megapixels"]
         built = build_take(
@@ -185,7 +151,7 @@ def _make(
         )
         warnings += built.warnings
         for fmt in left:
-            made[fmt] = _sizes(export_take(built, take, folder, name, fmt))
+            made[fmt] = _sizes(export_take(built, take, at, name, fmt))
         if frames:
             render_preview(built, take, frames[len(frames) // 2], preview, max_megapixels=megapixels)
     if PREVIEW in formats:

@@ -27,7 +27,7 @@ class MANIENT_OT_add_arms(StepsOperator, bpy.types.Operator):
     title = "Finding arms"
     undone = "finding arms was stopped by an undo: nothing was changed"
 
-    hand: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})  # type: ignore
+    hand: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})
 
     @classmethod
     def poll_reason(cls, context):

@@ -21,7 +21,7 @@ from ..scene.store import active_hand, captures_of, kept_take, rows_at
 from ..session import jobs, source_info
 from ..session.properties import SIDE_ITEMS
 from .base import ModalOperator, select_alone, show_frame_again
-from .capture import new_job, why_no_capture
+from .capture import new_request, why_no_capture
 from .modes import drawing, view
 from .modes.view import free_corner
 
@@ -125,15 +125,15 @@ class MANIENT_OT_add_hand(ModalOperator, bpy.types.Operator):
     bl_label = "Add Hand"
     tick = 0.1
 
-    side: bpy.props.EnumProperty(name="Side", items=SIDE_ITEMS, options={"SKIP_SAVE"})  # type: ignore
-    seen: bpy.props.EnumProperty(name="Seen", items=_SEEN, options={"SKIP_SAVE"})  # type: ignore
-    wrist: bpy.props.FloatVectorProperty(  # type: ignore
+    side: bpy.props.EnumProperty(name="Side", items=SIDE_ITEMS, options={"SKIP_SAVE"})
+    seen: bpy.props.EnumProperty(name="Seen", items=_SEEN, options={"SKIP_SAVE"})
+    wrist: bpy.props.FloatVectorProperty(
         name="Wrist", description="Pixels from the picture's upper left corner", size=2
     )
-    knuckle: bpy.props.FloatVectorProperty(  # type: ignore
+    knuckle: bpy.props.FloatVectorProperty(
         name="Middle Knuckle", description="Pixels from the picture's upper left corner", size=2
     )
-    shown: bpy.props.BoolProperty(  # type: ignore
+    shown: bpy.props.BoolProperty(
         description="The picture was shown for this", options={"HIDDEN", "SKIP_SAVE"}
     )
 
@@ -155,7 +155,7 @@ class MANIENT_OT_add_hand(ModalOperator, bpy.types.Operator):
         if capture is None and self.shown:
             raise OptionError("The picture is not in this scene: press Add Hand again")
         if capture is None:
-            jobs.submit(new_job(context, only_frame=False, bare=True))
+            jobs.submit(new_request(context, only_frame=False, bare=True))
             return bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
         _mode = _Mode(context, viewport, capture)
         self.show_status(context, _KEYS)
@@ -165,10 +165,10 @@ class MANIENT_OT_add_hand(ModalOperator, bpy.types.Operator):
         """Add it where wrist and knuckle say: for scripts, and without a window."""
         capture = target_capture(context)
         if capture is None:
-            jobs.submit(new_job(context, only_frame=False, bare=True))
+            jobs.submit(new_request(context, only_frame=False, bare=True))
             for job in jobs.run():
                 if job.state != "done":
-                    raise OptionError(job.message)
+                    raise OptionError(job.result.message)
             capture = target_capture(context)
         if capture is None:
             raise OptionError("The picture is not in this scene: press Add Hand again")

@@ -18,7 +18,7 @@ from ..scene.build import ChangeWatch
 from ..scene.characters import active_character, why_not_reachable
 from ..scene.editable import why_not_editable
 from ..scene.store import CapturedHand, active_hand, hand_of
-from ..session.shared_worker import Waiting
+from ..session.shared_worker import Progress
 
 NO_CHARACTER: Final = "Select a character first: its armature, or a mesh that it deforms"
 LINKED_SCENE: Final = "This scene is linked from another file: open or make one of your own"
@@ -204,12 +204,13 @@ class ModalOperator(ManientOperator):
             context.workspace.status_text_set(text)
 
 
-def finish(steps: Generator[str, None, Any]) -> Any:
-    """Do steps without a window beside them; what they return."""
+def finish(steps: Generator[str | Progress, None, Any]) -> Any:
+    """Do steps without a window beside them; what they return. `Progress` is of another process, which is
+    waited for."""
     with closing(steps):
         while True:
             try:
-                if isinstance(next(steps), Waiting):
+                if isinstance(next(steps), Progress):
                     time.sleep(0.005)
             except StopIteration as stop:
                 return stop.value
@@ -225,7 +226,7 @@ class StepsOperator(ModalOperator):
     undone: str
     """What is said where an undo stops them"""
 
-    def steps(self, context: bpy.types.Context) -> Generator[str, None, Any]:
+    def steps(self, context: bpy.types.Context) -> Generator[str | Progress, None, Any]:
         """Do the work; yields how far it is. Returns what `finished` gets. Where it is closed, nothing was
         changed, unless `can_stop` was made False."""
         raise NotImplementedError
@@ -259,8 +260,8 @@ class StepsOperator(ModalOperator):
             except StopIteration as stop:
                 self.end(context)
                 return self._reported(self.finished, context, stop.value)
-            self.show_status(context, f"{text}   Esc: Stop" if state.can_stop else text)
-            if isinstance(text, Waiting) or is_over():
+            self.show_status(context, f"{text}   Esc: Stop" if state.can_stop else str(text))
+            if isinstance(text, Progress) or is_over():
                 return {"PASS_THROUGH"}
 
     def ended(self, context):

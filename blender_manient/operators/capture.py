@@ -31,15 +31,14 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
 
     bl_label = "Capture"
 
-    only_frame: bpy.props.BoolProperty(  # type: ignore
+    only_frame: bpy.props.BoolProperty(
         name="This Frame",
         description="Capture only the scene's current frame of the source",
         options={"SKIP_SAVE"},
     )
 
-    queued: bpy.props.BoolProperty(  # type: ignore
-        description="Start nothing new, only follow what is queued",
-        options={"HIDDEN", "SKIP_SAVE"},
+    queued: bpy.props.BoolProperty(
+        description="Start nothing new, only follow what is queued", options={"HIDDEN", "SKIP_SAVE"}
     )
 
     @classmethod
@@ -55,7 +54,7 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
     def begin(self, context):
         """Queue the capture, and follow the queue where nobody does."""
         if not self.queued:
-            jobs.submit(new_job(context, only_frame=self.only_frame, ask_if_many=True))
+            jobs.submit(new_request(context, only_frame=self.only_frame, ask_if_many=True))
         if type(self).bl_idname in self.running:
             return self._done("It is captured after the one before")
         self._seen: set[int] = {id(j) for j in jobs.jobs() if j.finished}
@@ -83,7 +82,7 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
     def run(self, context):
         """Capture and wait for it: for scripts, and without a window."""
         if not self.queued:
-            jobs.submit(new_job(context, only_frame=self.only_frame))
+            jobs.submit(new_request(context, only_frame=self.only_frame))
         waited = jobs.run()
         for job in waited:
             self._report(job)
@@ -97,7 +96,7 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
         waiting = sum(j.state == "waiting" for j in jobs.jobs())
         if job is not None:
             more = f"   ({waiting} waiting)" if waiting else ""
-            self.show_status(context, f"{job.name}: {job.status()}{more}   Esc: Stop")
+            self.show_status(context, f"{job.request.name}: {job.status()}{more}   Esc: Stop")
         screen.redraw_sidebars()
 
     def _report_finished(self, context) -> None:
@@ -105,27 +104,31 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
             if job.finished and id(job) not in self._seen:
                 self._seen.add(id(job))
                 self._report(job)
-                if job.state == "done" and (job.matched or job.in_front):
-                    screen.look_through_camera(context)
-                elif job.state == "done" and job.building.target == "NEW":
-                    objects = context.view_layer.objects
-                    screen.frame_selected(context, [o for name in job.hands if (o := objects.get(name))])
-                goes_on = job.offer or job.bare or job.then_add_hand or jobs.busy()
-                if job.state == "done" and not goes_on:
-                    screen.open_edit_tab()
-                if job.hands_to_choose and not jobs.busy():
-                    bpy.ops.manient.find_hands("INVOKE_DEFAULT")
-                if (job.bare or job.then_add_hand) and job.state == "done" and not jobs.busy():
-                    bpy.ops.manient.add_hand("INVOKE_DEFAULT", shown=True)
+                self._go_on(context, job)
+
+    def _go_on(self, context, job: jobs.Job) -> None:
+        """Show what was built, and begin what comes after it."""
+        request, result, is_done = job.request, job.result, job.state == "done"
+        adds_hand = request.bare or request.then_add_hand
+        if is_done and (result.matched or result.in_front):
+            screen.look_through_camera(context)
+        elif is_done and request.building.target == "NEW":
+            objects = context.view_layer.objects
+            screen.frame_selected(context, [o for name in result.hands if (o := objects.get(name))])
+        if jobs.busy():
+            return
+        if is_done and not (result.offer or adds_hand):
+            screen.open_edit_tab()
+        if result.hands_to_choose:
+            bpy.ops.manient.find_hands("INVOKE_DEFAULT")
+        if is_done and adds_hand:
+            bpy.ops.manient.add_hand("INVOKE_DEFAULT", shown=True)
 
     def _report(self, job: jobs.Job) -> None:
-        for warning in job.warnings:
+        for warning in job.result.warnings:
             self.report({"WARNING"}, warning)
-        if job.state == "failed":
-            self.report({"ERROR"}, f"{job.name}: {job.message}")
-        else:
-            said = ". ".join(filter(None, (job.message, job.views_message, job.scene_message)))
-            self.report({"INFO"}, f"{job.name}: {said}")
+        kind = "ERROR" if job.state == "failed" else "INFO"
+        self.report({kind}, f"{job.request.name}: {job.result.report()}")
 
 
 class MANIENT_OT_queue_capture(ManientOperator, bpy.types.Operator):
@@ -141,7 +144,7 @@ class MANIENT_OT_queue_capture(ManientOperator, bpy.types.Operator):
         return why_no_capture(context)
 
     def run(self, context):
-        jobs.submit(new_job(context, only_frame=False, ask_if_many=True))
+        jobs.submit(new_request(context, only_frame=False, ask_if_many=True))
         return bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
 
 
@@ -167,7 +170,7 @@ class MANIENT_OT_cancel_capture(InternalOperator, bpy.types.Operator):
 
     bl_label = "Cancel"
 
-    index: bpy.props.IntProperty(default=-1, options={"SKIP_SAVE"})  # type: ignore
+    index: bpy.props.IntProperty(default=-1, options={"SKIP_SAVE"})
 
     def run(self, context):
         queue = jobs.jobs()
@@ -198,16 +201,16 @@ def why_no_capture(context: bpy.types.Context, *, alone: bool = False) -> str | 
     return None
 
 
-def new_job(
+def new_request(
     context: bpy.types.Context,
     *,
     only_frame: bool,
     regions: tuple[Region, ...] = (),
     ask_if_many: bool = False,
     bare: bool = False,
-) -> jobs.Job:
+) -> jobs.CaptureRequest:
     """The capture that the panel's settings describe; with `regions`, of the hands in them and no others.
-    `ask_if_many`, `bare`: as of a job. Raises HandfitError in the artist's words."""
+    `ask_if_many` and `bare` are fields of the request. Raises HandfitError in the artist's words."""
     settings, scene = context.scene.manient, context.scene
     source = source_info.resolve(settings.source, as_sequence=settings.as_sequence)
     hand = active_hand(context)
@@ -221,7 +224,7 @@ def new_job(
     clip = source_info.camera_clip(settings, source)
     if settings.camera == "ACTIVE" and (camera is None or camera.type != "CAMERA"):
         raise OptionError("the scene has no active camera: choose another camera setting")
-    return jobs.Job(
+    return jobs.CaptureRequest(
         name=Path(source.files[0]).name if source.kind != "sequence" else Path(source.files[0]).parent.name,
         files=source.files,
         options=CaptureOptions(

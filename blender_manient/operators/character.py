@@ -43,7 +43,7 @@ class MANIENT_OT_apply_to_character(StepsOperator, CharacterOperator, bpy.types.
     title = "Apply to Character"
     undone = "an undo or a deletion stopped Apply to Character"
 
-    mode: bpy.props.EnumProperty(  # type: ignore
+    mode: bpy.props.EnumProperty(
         name="Apply",
         items=(
             ("ANIMATION", "Animation", "All that the captured hands do"),
@@ -122,7 +122,7 @@ class MANIENT_OT_recognise_hand(CharacterOperator, bpy.types.Operator):
 
     bl_label = "Recognise Again"
 
-    side: bpy.props.EnumProperty(items=SIDE_ITEMS, options={"SKIP_SAVE"})  # type: ignore
+    side: bpy.props.EnumProperty(items=SIDE_ITEMS, options={"SKIP_SAVE"})
 
     def run(self, context):
         armature = polled_character(context)
@@ -135,7 +135,7 @@ class MANIENT_OT_copy_hand_table(CharacterOperator, bpy.types.Operator):
 
     bl_label = "Copy to Other Side"
 
-    side: bpy.props.EnumProperty(  # type: ignore
+    side: bpy.props.EnumProperty(
         items=SIDE_ITEMS, description="The hand whose table is copied", options={"SKIP_SAVE"}
     )
 
@@ -152,7 +152,7 @@ class MANIENT_OT_save_rig(CharacterOperator, bpy.types.Operator):
     bl_label = "Save Rig"
     bl_options = {"REGISTER"}
 
-    rig_name: bpy.props.StringProperty(  # type: ignore
+    rig_name: bpy.props.StringProperty(
         name="Name", description="What the rig is called; one of this name is replaced"
     )
 
@@ -174,7 +174,7 @@ class MANIENT_OT_forget_rig(CharacterOperator, bpy.types.Operator):
     bl_label = "Forget Rig"
     bl_options = {"REGISTER"}
 
-    rig_name: bpy.props.StringProperty(options={"SKIP_SAVE"})  # type: ignore
+    rig_name: bpy.props.StringProperty(options={"SKIP_SAVE"})
 
     def invoke(self, context, event):
         return context.window_manager.invoke_confirm(self, event)
@@ -191,7 +191,7 @@ class MANIENT_OT_export_rig(CharacterOperator, bpy.types.Operator, ExportHelper)
     bl_options = {"REGISTER"}
 
     filename_ext = ".json"
-    filter_glob: bpy.props.StringProperty(default="*.json", options={"HIDDEN"})  # type: ignore
+    filter_glob: bpy.props.StringProperty(default="*.json", options={"HIDDEN"})
 
     def run(self, context):
         tables = _shown_tables(polled_character(context))
@@ -207,7 +207,7 @@ class MANIENT_OT_import_rig(CharacterOperator, bpy.types.Operator, ImportHelper)
     bl_label = "Import Rig"
 
     filename_ext = ".json"
-    filter_glob: bpy.props.StringProperty(default="*.json", options={"HIDDEN"})  # type: ignore
+    filter_glob: bpy.props.StringProperty(default="*.json", options={"HIDDEN"})
 
     def run(self, context):
         armature, path = polled_character(context), Path(bpy.path.abspath(self.filepath))
@@ -294,7 +294,7 @@ class MANIENT_OT_add_hand_offset(CharacterOperator, bpy.types.Operator):
 
     bl_label = "Offset"
 
-    side: bpy.props.EnumProperty(items=SIDE_ITEMS, options={"SKIP_SAVE"})  # type: ignore
+    side: bpy.props.EnumProperty(items=SIDE_ITEMS, options={"SKIP_SAVE"})
 
     def run(self, context):
         armature = polled_character(context)

@@ -43,7 +43,7 @@ class MANIENT_OT_check_installation(StepsOperator, bpy.types.Operator):
         return self._done(f"{sentence} (text {TEXT_NAME})", kind="INFO" if sentence == WHOLE else "WARNING")
 
 
-def checking(python: str | None = None) -> Generator[shared_worker.Waiting, None, tuple[str, str]]:
+def checking(python: str | None = None) -> Generator[shared_worker.Progress, None, tuple[str, str]]:
     """Try the Python that the preferences choose, or `python`, in a process of its own: the shared one may be
     busy for minutes. Returns `WHOLE` or what is wrong, and the text for a bug report."""
     worker = shared_worker.new_worker(python)

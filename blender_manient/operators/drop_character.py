@@ -19,7 +19,7 @@ class MANIENT_OT_put_on_file(SceneOperator, bpy.types.Operator):
     bl_label = "Put Captured Hands On It"
     bl_options = {"UNDO"}  # repeated from the panel of the last operation it would import once more
 
-    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"HIDDEN", "SKIP_SAVE"})  # type: ignore
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"HIDDEN", "SKIP_SAVE"})
 
     def run(self, context):
         if context.mode != "OBJECT":

@@ -11,7 +11,7 @@ from handfit_core.edit.corrections import Pins
 from ..scene.store import active_hand, hand_of
 from ..session import shared_worker
 from ..session.refiner import Refiner, why_not
-from .base import ManientOperator, ModalOperator, show_frame_again
+from .base import ManientOperator, ModalOperator, finish, show_frame_again
 from .modes import keypoints as mode
 from .modes import view
 
@@ -21,8 +21,6 @@ _KEYS = (
 )
 _SWITCH = "    V: Other View"
 _ENDS = {"RET", "NUMPAD_ENTER", "TAB", "ESC"}
-_TIMEOUT_SECONDS = 120.0
-"""seconds for which Move Keypoint waits; the first answer may wait for the worker to start"""
 
 _mode: mode.KeypointMode | None = None
 
@@ -154,18 +152,16 @@ class MANIENT_OT_move_keypoint(ManientOperator, bpy.types.Operator):
 
     bl_label = "Move Keypoint"
 
-    hand: bpy.props.StringProperty(  # type: ignore
+    hand: bpy.props.StringProperty(
         name="Hand", description="Name of the hand's armature (empty: the active one)"
     )
-    frame: bpy.props.IntProperty(  # type: ignore
-        name="Frame", description="Scene frame", options={"SKIP_SAVE"}
-    )
-    keypoint: bpy.props.IntProperty(  # type: ignore
+    frame: bpy.props.IntProperty(name="Frame", description="Scene frame", options={"SKIP_SAVE"})
+    keypoint: bpy.props.IntProperty(
         name="Keypoint", description="0 is the wrist, 8 the index tip", min=0, max=NUM_KEYPOINTS - 1
     )
-    x: bpy.props.FloatProperty(name="X", description="Pixels from the picture's left edge")  # type: ignore
-    y: bpy.props.FloatProperty(name="Y", description="Pixels from the picture's upper edge")  # type: ignore
-    remove: bpy.props.BoolProperty(  # type: ignore
+    x: bpy.props.FloatProperty(name="X", description="Pixels from the picture's left edge")
+    y: bpy.props.FloatProperty(name="Y", description="Pixels from the picture's upper edge")
+    remove: bpy.props.BoolProperty(
         name="Remove", description="Remove the point's pin instead", options={"SKIP_SAVE"}
     )
 
@@ -184,8 +180,7 @@ class MANIENT_OT_move_keypoint(ManientOperator, bpy.types.Operator):
         pins = self._pins(refiner.pins(row))
         if pins or refiner.touches(row):
             fields = refiner.request([row], [pins], refiner.start_poses([row]))()
-            worker = shared_worker.worker()
-            poses = refiner.poses(worker.wait(worker.submit("refit", **fields), timeout=_TIMEOUT_SECONDS))
+            poses = refiner.poses(finish(shared_worker.ask("refit", "Move Keypoint", **fields)))
             if not poses.present[0]:
                 raise OptionError("no hand can be fitted to these points: move them nearer to the hand")
             refiner.correct(row, pins, poses, context.scene.manient.spread)

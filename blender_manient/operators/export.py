@@ -60,11 +60,11 @@ class _ExportOperator(ManientOperator):
 
     bl_options = {"REGISTER"}
 
-    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore
-    filter_glob: bpy.props.StringProperty(options={"HIDDEN"})  # type: ignore
-    check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN"})  # type: ignore
-    preset: bpy.props.EnumProperty(name="For", items=PRESETS)  # type: ignore
-    frame_range: bpy.props.EnumProperty(  # type: ignore
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: bpy.props.StringProperty(options={"HIDDEN"})
+    check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+    preset: bpy.props.EnumProperty(name="For", items=PRESETS)
+    frame_range: bpy.props.EnumProperty(
         name="Frames",
         items=(
             ("SCENE", "Scene", "The scene's frame range"),
@@ -196,8 +196,8 @@ class MANIENT_OT_export_hand(_ExportOperator, HandOperator, bpy.types.Operator):
     anywhere = True
     character = False
 
-    file_format: bpy.props.EnumProperty(name="Format", items=EXPORT_FORMATS)  # type: ignore
-    active_only: bpy.props.BoolProperty(  # type: ignore
+    file_format: bpy.props.EnumProperty(name="Format", items=EXPORT_FORMATS)
+    active_only: bpy.props.BoolProperty(
         name="Active Hand Only", description="Leave out the other hands of the capture", default=False
     )
 
@@ -235,8 +235,8 @@ class MANIENT_OT_export_character(_ExportOperator, bpy.types.Operator):
     bl_label = "Export Character"
     character = True
 
-    file_format: bpy.props.EnumProperty(name="Format", items=EXPORT_FORMATS, default="vrma")  # type: ignore
-    meshes: bpy.props.BoolProperty(  # type: ignore
+    file_format: bpy.props.EnumProperty(name="Format", items=EXPORT_FORMATS, default="vrma")
+    meshes: bpy.props.BoolProperty(
         name="Meshes",
         description="Write what the character deforms or carries and renders show",
         default=True,

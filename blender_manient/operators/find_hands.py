@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 
@@ -11,7 +13,7 @@ from handfit_core.media.frame_range import FrameRange
 
 from ..session import jobs, source_info
 from .base import ManientOperator, ModalOperator
-from .capture import new_job, why_no_capture
+from .capture import new_request, why_no_capture
 from .modes import find_hands as mode
 from .modes import view
 
@@ -181,22 +183,22 @@ class MANIENT_OT_capture_found(ManientOperator, bpy.types.Operator):
 
 
 def capture_chosen(context: bpy.types.Context, *, then_add_hand: bool = False) -> None:
-    """Queue a capture of the hands that are chosen; `then_add_hand`: as of a job. Raises HandfitError."""
+    """Queue a capture of the hands that are chosen; `then_add_hand` is a field of the request. Raises
+    HandfitError."""
     assert mode.current is not None
-    job = new_job(context, only_frame=False, regions=mode.current.regions())
-    job.then_add_hand = then_add_hand
-    jobs.submit(job)
+    request = new_request(context, only_frame=False, regions=mode.current.regions())
+    jobs.submit(replace(request, then_add_hand=then_add_hand))
 
 
 def chosen_source(context: bpy.types.Context) -> mode.Source:
     """What the panel's settings name, at the frame that the scene shows. Raises HandfitError."""
-    settings, job = context.scene.manient, new_job(context, only_frame=False)
+    settings, request = context.scene.manient, new_request(context, only_frame=False)
     info = source_info.of(settings)
     assert info.files is not None
     frame = None
     if info.files.kind != "photo":
-        frame = _frame(source_info.shown_frame(context, info.files), job.options, info)
-    return mode.Source(job.files, frame, job.options)
+        frame = _frame(source_info.shown_frame(context, info.files), request.options, info)
+    return mode.Source(request.files, frame, request.options)
 
 
 def _frame(current: int, options: CaptureOptions, info: source_info.SourceInfo) -> int:

@@ -47,13 +47,11 @@ class MANIENT_OT_grip(RangeFitOperator, bpy.types.Operator):
     bl_label = "Grip"
     progress_text = "Laying fingers on the object"
 
-    prop: bpy.props.StringProperty(  # type: ignore
-        name="Object", description="What the hand holds", options={"SKIP_SAVE"}
-    )
-    fingers: bpy.props.BoolVectorProperty(  # type: ignore
+    prop: bpy.props.StringProperty(name="Object", description="What the hand holds", options={"SKIP_SAVE"})
+    fingers: bpy.props.BoolVectorProperty(
         name="Fingers", description="Which fingers may be laid on it", size=5, default=(True,) * 5
     )
-    strength: bpy.props.FloatProperty(  # type: ignore
+    strength: bpy.props.FloatProperty(
         name="Strength",
         description="How far fingers go from where they are to the object's surface",
         subtype="FACTOR",
@@ -61,7 +59,7 @@ class MANIENT_OT_grip(RangeFitOperator, bpy.types.Operator):
         min=0.0,
         max=1.0,
     )
-    rides: bpy.props.BoolProperty(  # type: ignore
+    rides: bpy.props.BoolProperty(
         name="Object Rides with the Hand",
         description="From the first frame to the last the object keeps its present place in the hand, by a "
         "Child Of constraint; before and after it lies where the hand takes and leaves it",

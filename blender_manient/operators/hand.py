@@ -69,14 +69,14 @@ class MANIENT_OT_apply_take(HandOperator, bpy.types.Operator):
 
     bl_label = "Apply Motion"
 
-    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore
-    filter_glob: bpy.props.StringProperty(default="*.npz", options={"HIDDEN"})  # type: ignore
-    source: bpy.props.StringProperty(  # type: ignore
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: bpy.props.StringProperty(default="*.npz", options={"HIDDEN"})
+    source: bpy.props.StringProperty(
         name="Source",
         description="The captured hand to take the motion from; empty: the take file",
         options={"SKIP_SAVE"},
     )
-    mode: bpy.props.EnumProperty(  # type: ignore
+    mode: bpy.props.EnumProperty(
         name="Apply",
         items=(
             ("ANIMATION", "Animation", "Replace the keys from the source's first frame to its last"),
@@ -84,12 +84,12 @@ class MANIENT_OT_apply_take(HandOperator, bpy.types.Operator):
         ),
         default="ANIMATION",
     )
-    source_frame: bpy.props.IntProperty(  # type: ignore
+    source_frame: bpy.props.IntProperty(
         name="Source Frame",
         description="Which of the take file's frames the pose comes from; 0 is the first with a hand",
         min=0,
     )
-    wrist: bpy.props.BoolProperty(  # type: ignore
+    wrist: bpy.props.BoolProperty(
         name="Wrist",
         description="Apply the hand's place and rotation too, not only its fingers",
         default=True,
@@ -133,8 +133,8 @@ class MANIENT_OT_lock_joints(HandOperator, bpy.types.Operator):
     bl_label = "Lock Joints"
     anywhere = True
 
-    lock: bpy.props.BoolProperty(name="Lock", default=True)  # type: ignore
-    joints: bpy.props.EnumProperty(  # type: ignore
+    lock: bpy.props.BoolProperty(name="Lock", default=True)
+    joints: bpy.props.EnumProperty(
         name="Joints",
         items=(
             ("SELECTED", "Selected Bones", "The bones selected in Pose mode; in other modes all joints"),
@@ -179,7 +179,7 @@ class MANIENT_OT_clear_corrections(HandOperator, bpy.types.Operator):
     bl_label = "Clear Corrections"
     anywhere = True
 
-    scope: bpy.props.EnumProperty(  # type: ignore
+    scope: bpy.props.EnumProperty(
         name="Scope",
         items=(
             ("FRAME", "This Frame", "Only the correction of the current frame"),
@@ -269,7 +269,7 @@ class MANIENT_OT_remove_controls(_ControlsOperator, bpy.types.Operator):
     bl_label = "Remove Controls"
     has_controls = True
 
-    bake: bpy.props.BoolProperty(  # type: ignore
+    bake: bpy.props.BoolProperty(
         name="Bake",
         description="Write what the controls do into the keys first; else the hand goes back to its keys",
         default=True,

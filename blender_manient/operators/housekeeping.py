@@ -54,7 +54,7 @@ class MANIENT_OT_check_mano(InternalOperator, bpy.types.Operator):
 
     bl_label = "Check MANO Files"
 
-    path: bpy.props.StringProperty(  # type: ignore
+    path: bpy.props.StringProperty(
         name="Path",
         description="File or folder to check (empty: the scene's, else the one in the preferences)",
         options={"HIDDEN", "SKIP_SAVE"},
@@ -74,7 +74,7 @@ class MANIENT_OT_note(InternalOperator, bpy.types.Operator):
 
     bl_label = "Message"
 
-    text: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})  # type: ignore
+    text: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})
 
     @classmethod
     def description(cls, _context, properties):
@@ -125,9 +125,7 @@ class MANIENT_OT_open_plugins(InternalOperator, bpy.types.Operator):
 class _TextOperator(InternalOperator):
     """The base of operators on one of the file's text blocks."""
 
-    text: bpy.props.StringProperty(  # type: ignore
-        name="Text", default=details.TEXT_NAME, options={"HIDDEN", "SKIP_SAVE"}
-    )
+    text: bpy.props.StringProperty(name="Text", default=details.TEXT_NAME, options={"HIDDEN", "SKIP_SAVE"})
 
     def show(self, context: bpy.types.Context, text: bpy.types.Text) -> str | None:
         """Hand the text over; returns what is reported."""

@@ -80,7 +80,7 @@ class MANIENT_OT_end_key_layer(_KeysOperator, bpy.types.Operator):
 
     bl_label = "End Layer"
 
-    merge: bpy.props.BoolProperty(  # type: ignore
+    merge: bpy.props.BoolProperty(
         name="Merge", description="Put the layer's changes into the motion's keys", default=True
     )
 

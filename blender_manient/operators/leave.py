@@ -19,7 +19,7 @@ class MANIENT_OT_leave(InternalOperator, bpy.types.Operator):
 
     bl_label = "Leave"
 
-    what: bpy.props.EnumProperty(  # type: ignore
+    what: bpy.props.EnumProperty(
         items=[(name, name.capitalize(), "") for name in _LEAVE], options={"SKIP_SAVE"}
     )
 

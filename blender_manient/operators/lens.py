@@ -47,10 +47,10 @@ class MANIENT_OT_measure_lens(StepsOperator, SceneOperator, bpy.types.Operator, 
     title = "Measuring"
     undone = "An undo stopped the measuring: begin it again"
 
-    filter_glob: bpy.props.StringProperty(  # type: ignore
+    filter_glob: bpy.props.StringProperty(
         default=";".join(f"*{suffix}" for suffix in sorted(VIDEO_SUFFIXES)), options={"HIDDEN"}
     )
-    lens: bpy.props.StringProperty(  # type: ignore
+    lens: bpy.props.StringProperty(
         name="Name", description="What the lens is called from now on, such as: my phone", default="My Camera"
     )
 

@@ -128,7 +128,7 @@ class MANIENT_OT_live_keep(InternalOperator, bpy.types.Operator):
 
     bl_label = "Keep"
 
-    index: bpy.props.IntProperty()  # type: ignore
+    index: bpy.props.IntProperty()
 
     def run(self, context):
         takes.remove(_take(self.index))
@@ -139,7 +139,7 @@ class MANIENT_OT_live_throw_away(ManientOperator, bpy.types.Operator):
 
     bl_label = "Throw Away"
 
-    index: bpy.props.IntProperty()  # type: ignore
+    index: bpy.props.IntProperty()
 
     def invoke(self, context, event):
         return context.window_manager.invoke_confirm(self, event)
@@ -188,7 +188,7 @@ def queue_recorded(context: bpy.types.Context, session: live.LiveSession) -> Non
             smoothing=settings.smoothing,
             arms=settings.arms,
         )
-        take.job = jobs.Job(
+        request = jobs.CaptureRequest(
             name=take.path.name,
             files=(str(take.path),),
             options=options,
@@ -202,7 +202,7 @@ def queue_recorded(context: bpy.types.Context, session: live.LiveSession) -> Non
             output=take.take_path,
             then=take.replacing,
         )
-        jobs.submit(take.job)
+        take.job = jobs.submit(request)
         if not bpy.app.background:
             bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
     session.recorded.clear()

@@ -20,7 +20,7 @@ from ..scene.matching import Footage, clear_view, matches, scene_sentence
 from ..session import jobs, source_info
 from ..session.properties import MATCHING, POSE_CORRECTIVES
 from .base import ManientOperator, SceneOperator
-from .capture import new_job
+from .capture import new_request
 
 _WIDTH = 340
 """pixels of the dialog, at a user interface scale of 1"""
@@ -32,15 +32,15 @@ class MANIENT_OT_import_take(SceneOperator, bpy.types.Operator, ImportHelper):
     bl_label = "Import Hand Take"
 
     filename_ext = ".npz"
-    filter_glob: bpy.props.StringProperty(default="*.npz", options={"HIDDEN"})  # type: ignore
-    pose_correctives: bpy.props.BoolProperty(**POSE_CORRECTIVES)  # type: ignore
-    picture: bpy.props.BoolProperty(  # type: ignore
+    filter_glob: bpy.props.StringProperty(default="*.npz", options={"HIDDEN"})
+    pose_correctives: bpy.props.BoolProperty(**POSE_CORRECTIVES)
+    picture: bpy.props.BoolProperty(
         name="Picture Behind",
         description="Show the photo or video that was captured behind the hands",
         default=True,
     )
-    matching: bpy.props.EnumProperty(**MATCHING, options={"SKIP_SAVE"})  # type: ignore
-    render_setup: bpy.props.BoolProperty(  # type: ignore
+    matching: bpy.props.EnumProperty(**MATCHING, options={"SKIP_SAVE"})
+    render_setup: bpy.props.BoolProperty(
         name="Ready to Render",
         description="Lights, and the picture in renders, where the scene is matched",
         default=True,
@@ -95,11 +95,11 @@ class MANIENT_OT_drop_media(ManientOperator, bpy.types.Operator):
     bl_label = "Capture Hands"
     bl_options = {"REGISTER"}
 
-    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})  # type: ignore
-    files: bpy.props.CollectionProperty(  # type: ignore
+    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
+    files: bpy.props.CollectionProperty(
         type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"}
     )
-    as_sequence: bpy.props.BoolProperty(  # type: ignore
+    as_sequence: bpy.props.BoolProperty(
         name="Image Sequence",
         description="The numbered pictures are the frames of one clip",
         options={"SKIP_SAVE"},
@@ -138,7 +138,7 @@ class MANIENT_OT_drop_media(ManientOperator, bpy.types.Operator):
         for path in paths[:1] if self.as_sequence else paths:
             self._choose(context.scene.manient, path, paths)
             try:
-                jobs.submit(new_job(context, only_frame=False))
+                jobs.submit(new_request(context, only_frame=False))
                 started += 1
             except HandfitError as error:
                 self.report({"ERROR"}, str(error))

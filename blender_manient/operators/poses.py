@@ -34,10 +34,10 @@ from .base import ManientOperator, show_frame_again
 class _PoseOperator(ManientOperator):
     """The base of operators that put a pose on the active captured hand or character."""
 
-    blend: bpy.props.FloatProperty(**BLEND)  # type: ignore
-    scope: bpy.props.EnumProperty(**SCOPES)  # type: ignore
-    first: bpy.props.IntProperty(name="First", description="First scene frame", default=1)  # type: ignore
-    last: bpy.props.IntProperty(name="Last", description="Last scene frame", default=250)  # type: ignore
+    blend: bpy.props.FloatProperty(**BLEND)
+    scope: bpy.props.EnumProperty(**SCOPES)
+    first: bpy.props.IntProperty(name="First", description="First scene frame", default=1)
+    last: bpy.props.IntProperty(name="Last", description="Last scene frame", default=250)
 
     @classmethod
     def poll_reason(cls, context):
@@ -67,7 +67,7 @@ class MANIENT_OT_apply_pose(_PoseOperator, bpy.types.Operator):
 
     bl_label = "Apply Pose"
 
-    source: bpy.props.EnumProperty(  # type: ignore
+    source: bpy.props.EnumProperty(
         name="Source",
         items=(
             ("LIBRARY", "Library", "The chosen pose"),
@@ -78,7 +78,7 @@ class MANIENT_OT_apply_pose(_PoseOperator, bpy.types.Operator):
         default="LIBRARY",
         options={"SKIP_SAVE"},
     )
-    pose: bpy.props.StringProperty(  # type: ignore
+    pose: bpy.props.StringProperty(
         name="Pose", description="A ready pose, or a pose asset of this file", options={"SKIP_SAVE"}
     )
 
@@ -129,10 +129,8 @@ class MANIENT_OT_save_pose_asset(ManientOperator, bpy.types.Operator):
 
     bl_label = "Save Pose Asset"
 
-    asset_name: bpy.props.StringProperty(  # type: ignore
-        name="Name", description="Name of the asset", default="Hand Pose"
-    )
-    wrist: bpy.props.BoolProperty(  # type: ignore
+    asset_name: bpy.props.StringProperty(name="Name", description="Name of the asset", default="Hand Pose")
+    wrist: bpy.props.BoolProperty(
         name="Wrist Rotation",
         description="Keep how a captured hand's wrist is turned too, for Blender's own way of applying "
         "poses; its place is never kept",

@@ -65,7 +65,7 @@ class RangeFitOperator(StepsOperator):
     progress_text = "Re-fitting"
     """What is said while the worker fits"""
 
-    scope: bpy.props.EnumProperty(  # type: ignore
+    scope: bpy.props.EnumProperty(
         name="Range",
         items=(
             ("PREVIEW", "Preview Range", "The preview range where it is used, else all captured frames"),
@@ -73,10 +73,10 @@ class RangeFitOperator(StepsOperator):
         ),
         default="PREVIEW",
     )
-    first: bpy.props.IntProperty(name="First", description="First scene frame", default=1)  # type: ignore
-    last: bpy.props.IntProperty(name="Last", description="Last scene frame", default=250)  # type: ignore
+    first: bpy.props.IntProperty(name="First", description="First scene frame", default=1)
+    last: bpy.props.IntProperty(name="Last", description="Last scene frame", default=250)
 
-    asked: bpy.props.BoolProperty(  # type: ignore
+    asked: bpy.props.BoolProperty(
         description="The range was asked for already", options={"HIDDEN", "SKIP_SAVE"}
     )
 
@@ -164,7 +164,7 @@ class RangeFitOperator(StepsOperator):
     def steps(self, context):
         return self._fitting(self.make_fit(context))
 
-    def _fitting(self, fit: RangeFit) -> Generator[str, None, RangeFit]:
+    def _fitting(self, fit: RangeFit) -> Generator[str | shared_worker.Progress, None, RangeFit]:
         text = f"{self.progress_text}: {fit.count} frames"
         parts = []
         for count, fields in fit.requests:

@@ -28,7 +28,7 @@ class MANIENT_OT_hide_captures(SceneOperator, bpy.types.Operator):
 
     bl_label = "Hide Others"
 
-    hide: bpy.props.BoolProperty(name="Hide", default=True, options={"SKIP_SAVE"})  # type: ignore
+    hide: bpy.props.BoolProperty(name="Hide", default=True, options={"SKIP_SAVE"})
 
     @classmethod
     def description(cls, _context, properties):
@@ -71,7 +71,7 @@ class MANIENT_OT_remove_capture(SceneOperator, bpy.types.Operator):
 
     bl_label = "Remove Capture"
 
-    capture: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})  # type: ignore
+    capture: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})
 
     def run(self, context):
         found = [c for c in captures.captures(context.scene) if c.name == self.capture]
@@ -86,7 +86,7 @@ class MANIENT_OT_select_hand(ManientOperator, bpy.types.Operator):
 
     bl_label = "Select Hand"
 
-    hand: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})  # type: ignore
+    hand: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})
 
     def run(self, context):
         armature = context.scene.objects.get(self.hand)
@@ -102,7 +102,7 @@ class MANIENT_OT_select_hand(ManientOperator, bpy.types.Operator):
 class _NamedHandOperator(SceneOperator):
     """The base of operators on the hand that a button names, in a scene that may be changed."""
 
-    hand: bpy.props.StringProperty(  # type: ignore
+    hand: bpy.props.StringProperty(
         name="Hand",
         description="The captured hand's armature (empty: the active object's)",
         options={"HIDDEN"},
@@ -127,7 +127,7 @@ class MANIENT_OT_jump_doubtful(_NamedHandOperator, bpy.types.Operator):
 
     bl_label = "Jump to Doubtful Frame"
 
-    direction: bpy.props.EnumProperty(  # type: ignore
+    direction: bpy.props.EnumProperty(
         name="Direction",
         items=(
             ("PREVIOUS", "Previous", "Go to the doubtful frames before this one"),
@@ -182,8 +182,8 @@ class MANIENT_OT_retime(SceneOperator, bpy.types.Operator):
 
     bl_label = "Retime Hand"
 
-    hand: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})  # type: ignore
-    back: bpy.props.BoolProperty(  # type: ignore
+    hand: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})
+    back: bpy.props.BoolProperty(
         name="Rate Back",
         description="Give the scene the rate back that the hand was built for, instead",
         options={"SKIP_SAVE"},

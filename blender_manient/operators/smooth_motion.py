@@ -34,7 +34,7 @@ class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
     bl_label = "Smooth Motion"
     progress_text = "Smoothing"
 
-    strength: bpy.props.FloatProperty(  # type: ignore
+    strength: bpy.props.FloatProperty(
         name="Smoothing", soft_max=3.0, options={"SKIP_SAVE"}, **properties.option_property("smoothing")
     )
 

@@ -37,8 +37,8 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
     bl_label = "Touch"
     progress_text = "Making points touch"
 
-    point: bpy.props.EnumProperty(name="Point", items=_POINTS, default="4")  # type: ignore
-    other: bpy.props.EnumProperty(name="Touches", items=_POINTS, default="8")  # type: ignore
+    point: bpy.props.EnumProperty(name="Point", items=_POINTS, default="4")
+    other: bpy.props.EnumProperty(name="Touches", items=_POINTS, default="8")
 
     _suggested: tuple[str, str] | None = None
     """The points that the range was suggested for"""

@@ -129,7 +129,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             stop = _row(row, can).operator("manient.cancel_capture", text=text, icon="CANCEL")
             stop.index = jobs.jobs().index(job)
             _row(row, ready).operator("manient.queue_capture", icon="ADD")
-            buttons.label(text=f"{shortened_here(job.name)}  {job.speed_text()}", translate=False)
+            buttons.label(text=f"{shortened_here(job.request.name)}  {job.speed_text()}", translate=False)
             return
         row = _row(buttons, ready, 1.5)
         if choosing is not None:
@@ -163,18 +163,18 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
         """A line for each capture that waits or is over."""
         layout, queue = self.layout.column(align=True), jobs.jobs()
         for index, job in enumerate(queue):
-            row, name = layout.row(align=True), shortened_here(job.name)
+            row, name, result = layout.row(align=True), shortened_here(job.request.name), job.result
             if job.state == "waiting":
                 note(row, f"{name}: Waiting", _ICONS["waiting"])
                 row.operator("manient.cancel_capture", text="", icon="X").index = index
             elif job.finished and not job.is_gone:
-                note(row, f"{name}: {job.summary()}", "INFO" if job.warnings else _ICONS[job.state])
+                note(row, f"{name}: {result.summary()}", "INFO" if result.warnings else _ICONS[job.state])
                 if job.state == "failed":
                     row.operator("manient.show_details", text="Details", icon="TEXT")
-                elif job.offer:
+                elif result.offer:
                     row = layout.split(factor=0.66, align=True)
-                    note(row, capitalised(job.warnings[0]), "QUESTION", _OFFERS.get(job.offer, ""))
-                    row.operator(f"manient.{job.offer}")
+                    note(row, capitalised(result.warnings[0]), "QUESTION", _OFFERS.get(result.offer, ""))
+                    row.operator(f"manient.{result.offer}")
         if any(job.finished for job in queue):
             layout.operator("manient.clear_captures")
 

@@ -39,6 +39,7 @@ from .hand_motion import BoneKeys
 from .keys import PoseKeys
 from .sampling import posed_bones, rests, rotations_of
 from .timing import frame_rate
+from .transfer_options import TransferOptions
 
 MARK = "manient_arms"
 """Custom property of an action that was made for captured arms"""
@@ -47,22 +48,6 @@ _SAMPLED = 20
 """frames that Blender evaluates at once"""
 _VERTICES = 6000
 """how many of a character's vertices are looked at, about"""
-
-
-@dataclass(frozen=True)
-class ArmOptions:
-    """How a captured arm is put on a character's."""
-
-    arms: bool = False
-    """Whether the arms of hands that have one are put on the character's, instead of `wrist`"""
-    arms_influence: float = 1.0
-    """0..1: at 0 the arm stays as it is, at 1 it is the captured one"""
-    arms_ease: float = 10.0
-    """frames within which it comes and goes, where something else moves the arm's bones"""
-    arms_turn: float = 0.0
-    """radians about the body's vertical by which the arm is turned, seen from above against the clock"""
-    arms_outside: bool = False
-    """Whether the hand is kept outside of trunk and head"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +82,7 @@ def keying_arm(
     captured: CapturedArm,
     frames: np.ndarray,
     wrists: np.ndarray,
-    how: ArmOptions,
+    how: TransferOptions,
 ) -> Generator[float, None, list[BoneKeys]]:
     """Keys of an arm on frames (N,), in steps; `wrists` (N, 3, 3) is how the captured hand is turned in its
     capture's world. None at an influence of 0.

@@ -8,9 +8,9 @@ stood, so that one frame has to say it (`TransferOptions.reference`).
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import bpy
 import numpy as np
@@ -42,7 +42,7 @@ from ..rigs.character import CharacterBones, bones_of
 from ..rigs.controls import in_use, is_own
 from ..rigs.rig import PosedBones, bone_path
 from .actions import add_strip, is_layered, is_tweaked, own_action, present_curves, push_down, use_action
-from .character_arms import MARK, Arm, ArmOptions, arm_of, keying_arm
+from .character_arms import MARK, Arm, arm_of, keying_arm
 from .characters import (
     hand_map_of,
     is_damaged,
@@ -72,9 +72,7 @@ from .moving_body import check_moved_in_time
 from .sampling import posed_bones, rests, rotations_of, sampled_pose
 from .store import CapturedHand, timing_of
 from .timing import Timing, check_range, frame_rate
-
-Into = Literal["NEW", "STRIP", "ACTION"]
-Wrist = Literal["FINGERS", "TURNED", "PLACED"]
+from .transfer_options import Anchor, Into, TransferOptions, Wrist
 
 MAX_TOUCH_ERROR = 0.002
 """metres at the captured hand's size by which touching fingertips may miss each other unseen"""
@@ -127,47 +125,6 @@ class Motion:
         turns, skins = mirrored_turns(self.turns), self.skins and self.skins.mirrored()
         arm = self.arm and self.arm.mirrored()
         return Motion(self.source.mirrored(), self.frames, turns, self.places @ MIRROR_X, skins, arm)
-
-
-@dataclass(frozen=True, eq=False)
-class Anchor:
-    """A moment in which a character's hand is as it is to be in the captured pose."""
-
-    wrist: np.ndarray
-    """(3, 3) how the captured wrist is turned from its rest, in rest space"""
-    place: np.ndarray
-    """(3,) metres: where it is"""
-    hand: np.ndarray
-    """(4, 4) the character's hand in the armature's space"""
-
-
-@dataclass(frozen=True)
-class TransferOptions(ArmOptions):
-    """How captured motion is transferred to a character."""
-
-    into: Into = "NEW"
-    wrist: Wrist = "FINGERS"
-    reference: float = 1.0
-    """The scene frame in which the character's hand is as it is to be in the captured pose"""
-    time_offset: int = 0
-    """scene frames by which all motion comes later"""
-    contacts: bool = True
-    """Whether fingertips that touch do so on the character, too"""
-    travel: float = 1.0
-    """How far a placed hand goes, as a share of the captured way"""
-    smoothing: float = 0.0
-    """frames before and after that are averaged in how the hand itself turns and moves"""
-    offsets: Mapping[Side, np.ndarray] = field(default_factory=dict)
-    """(3,) what is added to where a placed hand is, in the armature's space and units; none where missing"""
-    anchors: Mapping[Side, Anchor] = field(default_factory=dict)
-    """What stands for the marked frame, by the character's side; such hands get no offset"""
-
-    @classmethod
-    def of(cls, armature: bpy.types.Object, **changes: Any) -> TransferOptions:
-        """The options of the character's panel, with these fields in place of its own."""
-        shown = armature.manient.character  # which has properties of these names
-        said = {each.name: getattr(shown, each.name) for each in fields(cls) if hasattr(shown, each.name)}
-        return cls(**{**said, "offsets": offsets_of(armature), **changes})
 
 
 @dataclass(frozen=True, eq=False)
@@ -531,17 +488,6 @@ def channels_of(bone: bpy.types.Bone, standing: np.ndarray, parent: np.ndarray) 
     if bone.parent is not None:
         above = {"parent_matrix": Matrix(parent), "parent_matrix_local": bone.parent.matrix_local}
     return bone.convert_local_to_pose(Matrix(standing), bone.matrix_local, invert=True, **above)
-
-
-def offsets_of(armature: bpy.types.Object) -> dict[Side, np.ndarray]:
-    """(3,) how far the artist has dragged each hand's offset, in the armature's space and units; nothing for
-    hands without one."""
-    found: dict[Side, np.ndarray] = {}
-    for side in SIDES:
-        handle = getattr(armature.manient.character, side).offset
-        if handle is not None and handle.users_collection:  # deleted ones live on
-            found[side] = np.array(handle.location, dtype=np.float64)
-    return found
 
 
 def is_adjusted(armature: bpy.types.Object) -> bool:

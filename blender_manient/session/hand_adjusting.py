@@ -15,7 +15,8 @@ from handfit_core.common.skeleton import SIDES
 from ..common.block_reference import BlockReference
 from ..common.wording import counted
 from ..scene.characters import hands_to_move
-from ..scene.onto_character import adjusting, is_adjusted, offsets_of
+from ..scene.onto_character import adjusting, is_adjusted
+from ..scene.transfer_options import offsets_of
 from . import live_link
 from .followers import Follower, Followers
 

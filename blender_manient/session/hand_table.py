@@ -66,16 +66,16 @@ class ManientHandTable(bpy.types.PropertyGroup):
     """Scene.manient.hand_table: one property for every bone that a HandMap can name, and for what else it
     says."""
 
-    side: EnumProperty(  # type: ignore
+    side: EnumProperty(
         name="Side",
         items=(("left", "Left", "The left hand's bones"), ("right", "Right", "The right hand's bones")),
     )
-    control: StringProperty(  # type: ignore
+    control: StringProperty(
         name="Moved By",
         description="The bone that moves the whole hand; empty: the hand's own",
         **_field("control"),
     )
-    thumb_roll: FloatProperty(  # type: ignore
+    thumb_roll: FloatProperty(
         name="Thumb Roll",
         description="Turns the thumb's bones about themselves, in degrees, where the thumb's skin bends "
         "sideways; positive turns its nail towards the back of the hand",
@@ -86,13 +86,13 @@ class ManientHandTable(bpy.types.PropertyGroup):
         precision=0,
         **_field("thumb_roll"),
     )
-    keep_rest: BoolProperty(  # type: ignore
+    keep_rest: BoolProperty(
         name="Keep Rest",
         description="Fingers differ from the captured ones as the character's rest pose does, instead of "
         "pointing as these do: for hands that are drawn relaxed",
         **_field("keep_rest"),
     )
-    fold: FloatProperty(  # type: ignore
+    fold: FloatProperty(
         name="Palm Fold",
         description="How much of ring and little finger's bend their metacarpal bones take over",
         subtype="FACTOR",

@@ -11,9 +11,9 @@ import time
 import traceback
 import uuid
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import bpy
 import numpy as np
@@ -37,9 +37,13 @@ from ..scene.matching import Choice, Footage, clear_view, matches, scene_sentenc
 from ..scene.store import hand_of
 from . import details, shared_worker
 from .cache import folder_path, temporary_take
+from .shared_worker import Progress
 
+_Step = Progress | float
 State = Literal["waiting", "capturing", "building", "done", "failed", "cancelled"]
 
+_CAPTURING = 0.9
+"""The share of a job's time that the worker takes; the rest is building"""
 _MAX_FINISHED = 6
 """finished jobs that the panel still shows"""
 
@@ -66,72 +70,103 @@ class Building:
     """That camera's own, if it is what is captured"""
 
 
-@dataclass(eq=False)
-class Job:
-    """One capture from the button to the rig."""
+@dataclass(frozen=True)
+class CaptureRequest:
+    """What is captured, and what becomes of it."""
 
     name: str
     files: tuple[str, ...]
     options: CaptureOptions
     building: Building
     ask_if_many: bool = False
-    """Whether the artist chooses first where there are more than a few hands"""
+    """True if the artist chooses first where there are more than a few hands"""
     bare: bool = False
-    """Whether no hands are detected: the picture is shown for an artist to add some"""
+    """True if no hands are detected: the picture is shown for an artist to add some"""
     then_add_hand: bool = False
-    """Whether Add Hand begins in the job's picture afterwards"""
+    """True if Add Hand begins in the picture afterwards"""
     output: Path | None = None
-    """Where its take is kept; None: in a folder that goes when Blender ends"""
+    """Where the take is kept; None: in a folder that goes when Blender ends"""
     then: Callable[[BuiltTake], Generator[float, None, None]] | None = None
     """What is done with new hands before they are an undo step, in slices"""
-    hands_to_choose: int = 0
-    """the number of hands found, where there were too many to build without asking; else 0"""
-    state: State = "waiting"
-    stage: str = ""
-    done: int = 0
-    total: int = 0
-    fraction: float = 0.0
-    """0..1 of the whole job"""
+
+    def shares(self) -> dict[tuple[str, int], float]:
+        """The share of the job's time that each stage takes, in their order, by its name and the view."""
+        # Detection takes nearly all of a capture's time, except with slow solvers.
+        solver = SOLVERS.built_in().get(self.options.solver)
+        detect = 0.1 if solver is not None and solver.slow else 0.85
+        shares, arms = {("detect", 0): detect, ("fit", 0): 0.9 - detect}, {("arms", 0): 0.45}
+        if self.options.view is not None:
+            shares |= {("detect", 1): detect, ("fit", 1): 0.9 - detect, ("join", 0): 0.1}
+            shares |= arms if self.options.arms else {}
+        elif self.options.arms:  # which name the sides of hands before these are fitted
+            shares = {("detect", 0): detect, **arms, ("fit", 0): 0.9 - detect}
+        whole = sum(shares.values())
+        return {stage: _CAPTURING * share / whole for stage, share in shares.items()}
+
+
+@dataclass(frozen=True)
+class CaptureResult:
+    """What came of a job."""
+
     message: str = ""
-    """What went wrong, or what is to be known, in one sentence"""
-    warnings: list[str] = field(default_factory=list)
+    """What was built or went wrong, in one sentence"""
+    hands: tuple[str, ...] = ()
+    """Names of the armatures"""
+    warnings: tuple[str, ...] = ()
     offer: str = ""
     """The operator, `find_hands` or `add_hand`, that helps with the first warning"""
     matched: bool = False
-    """Whether the scene was given the footage's rate, range, size and camera"""
+    """True if the scene was given the footage's rate, range, size and camera"""
     in_front: bool = False
-    """Whether it became the active capture, whose camera the scene looks through"""
+    """True if it became the active capture, whose camera the scene looks through"""
     scene_message: str = ""
     """What became of the scene, in one sentence; empty where nothing was built into it"""
     views_message: str = ""
     """The verdict on a capture of two views that fit together; empty for one view, and where a warning says
     that they do not"""
-    stopped: bool = False
-    """Whether it was cancelled, and what was finished kept"""
-    hands: tuple[str, ...] = ()
-    """Names of the armatures that came of it"""
+    hands_to_choose: int = 0
+    """the number of hands found, where there were too many to build without asking; else 0"""
+    collection: BlockReference | None = None
+    """The collection of the new hands"""
+
+    def report(self) -> str:
+        """The result in sentences, without its warnings."""
+        return _sentences(self.message, self.views_message, self.scene_message)
+
+    def summary(self) -> str:
+        """The result in sentences: its message, warnings, and what became of the scene."""
+        return _sentences(self.message, *self.warnings, self.views_message, self.scene_message)
+
+
+def _sentences(*said: str) -> str:
+    return ". ".join(text.removesuffix(".") for text in said if text)
+
+
+@dataclass(eq=False)
+class Job:
+    """One capture from the button to the rig: a generator that `tick` advances."""
+
+    request: CaptureRequest
+    state: State = "waiting"
+    progress: Progress = field(default_factory=lambda: Progress("Starting"))
+    result: CaptureResult = CaptureResult()
+    stopping: bool = False
+    """True if it was asked to stop and to keep what is finished"""
     key: str = field(default_factory=lambda: uuid.uuid4().hex[:8])
     """the key under which scenes note the job, so that an undo is seen"""
-    _request: int = 0
-    _stage_began: float = 0.0
-    _stage_first: int = 0
-    _views_done: int = 0
-    _take_path: Path | None = None
-    _builder: Generator[float, None, Any] | None = None
-    _capture: BlockReference | None = None
-    """The collection of the new hands"""
-    _stopping: bool = False
-    _replaces: tuple[Job, ...] = ()
+    steps: Generator[_Step, None, None] | None = None
+    """The work, once it has begun"""
+    replaces: tuple[Job, ...] = ()
     """Failures that were shown when it was asked for; once it succeeds they are old"""
 
     @property
     def running(self) -> bool:
-        """Whether the job is being captured or built."""
+        """True if the job is being captured or built."""
         return self.state in ("capturing", "building")
 
     @property
     def finished(self) -> bool:
-        """Whether the job is done, failed or cancelled."""
+        """True if the job is done, failed or cancelled."""
         return self.state in ("done", "failed", "cancelled")
 
     @property
@@ -140,53 +175,48 @@ class Job:
         finished frames would be lost by it."""
         if self.state == "building":
             return "Building Hands", False
-        return ("Stopping", False) if self._stopping else ("Stop", True)
+        return ("Stopping", False) if self.stopping else ("Stop", True)
 
     @property
     def is_gone(self) -> bool:
         """True if an undo took its hands back, or the artist has removed them."""
         if self.state != "done":
             return False
-        capture = self._capture and self._capture.find()
+        reference = self.result.collection
+        capture = reference and reference.find()
         undone = not any(self.key in _captured(scene) for scene in bpy.data.scenes)
-        removed = self._capture and not any(capture in captures(scene) for scene in bpy.data.scenes)
+        removed = reference and not any(capture in captures(scene) for scene in bpy.data.scenes)
         return undone or bool(removed)
 
     @property
-    def rate(self) -> float:
-        """Frames per second of the present stage; 0 while nobody knows."""
-        spent, frames = time.monotonic() - self._stage_began, self.done - self._stage_first
-        return frames / spent if self._stage_began and frames > 0 and spent > 0.2 else 0.0
+    def fraction(self) -> float:
+        """How much of the whole job is done, 0..1."""
+        if self.state == "building":
+            return _CAPTURING + (1.0 - _CAPTURING) * self.progress.part
+        at, done = (self.progress.stage, self.progress.view), 0.0
+        for stage, share in self.request.shares().items():
+            if stage == at:
+                # Nobody knows how long joining takes.
+                return done + share * (1.0 if at[0] == "join" else self.progress.part)
+            done += share
+        return float(self.finished)
 
     def activity(self) -> str:
         """What the job does now, short enough for a progress bar; of a finished job its result."""
+        if self.finished:
+            return self.result.message
         if self.state == "waiting":
             return "Waiting"
-        if self.state == "building":
-            return self.message or "Building hands"
-        if self.state != "capturing":
-            return self.message
-        if self._stopping:
+        if self.stopping and self.state == "capturing":
             return "Stopping, keeping frames"
-        if not self.stage:
-            return "Starting"
-        named = {"detect": "Finding hands", "fit": "Fitting", "join": "Joining views", "arms": "Finding arms"}
-        text = named.get(self.stage, self.stage)
-        if self.options.view is not None and self.stage in ("detect", "fit"):
-            text = f"{text}, view {self._views_done + 1}"
-        return f"{text}  {self.done}/{self.total}" if self.total > 1 else text
+        return self.progress.stage_text(1 if self.request.options.view is None else 2)
 
     def speed_text(self) -> str:
         """Frames per second and the time that is left; empty while they are unknown."""
-        if self.state != "capturing" or self._stopping or self.total <= 1 or not self.rate:
+        rate, left = self.progress.rate, self.progress.total - self.progress.done
+        if self.state != "capturing" or self.stopping or self.progress.total <= 1 or not rate:
             return ""
-        left = (self.total - self.done) / self.rate
-        return f"{self.rate:.0f} fps  {_duration(left)} left"
-
-    def summary(self) -> str:
-        """The result of the job in sentences: its message, warnings, and what became of the scene."""
-        said = (self.message, *self.warnings, self.views_message, self.scene_message)
-        return ". ".join(text.removesuffix(".") for text in said if text)
+        return f"{rate:.0f} fps  {_duration(left / rate)} left"
 
     def status(self) -> str:
         """`activity` and `speed_text` in one line."""
@@ -216,13 +246,14 @@ def current_or_next() -> Job | None:
     return next((job for job in _queue if not job.finished), None)
 
 
-def submit(job: Job) -> None:
+def submit(request: CaptureRequest) -> Job:
     """Put a job behind the others."""
-    job._replaces = tuple(old for old in _queue if old.state == "failed")
+    job = Job(request, replaces=tuple(old for old in _queue if old.state == "failed"))
     _queue.append(job)
     finished = [j for j in _queue if j.finished]
     for old in finished[: max(0, len(finished) - _MAX_FINISHED)]:
         _queue.remove(old)
+    return job
 
 
 def forget_finished() -> None:
@@ -232,25 +263,23 @@ def forget_finished() -> None:
 
 def cancel(job: Job) -> None:
     """Stop a job as soon as it can be, keeping finished frames; a second call keeps none."""
-    if job.state == "waiting":
-        job.state, job.message = "cancelled", "Cancelled"
-    elif job.state == "capturing" and not job._stopping:
-        job._stopping = True
-        shared_worker.worker().cancel(job._request)
-    elif job.state == "capturing":
+    if job.finished:
+        return
+    if job.state == "capturing" and not job.stopping:
+        job.stopping = True
+        shared_worker.worker().cancel(job.progress.request)
+        return
+    if job.state == "capturing":
         shared_worker.worker().stop()
-        job.state, job.message = "cancelled", "Cancelled"
-    elif job.state == "building":
-        if job._builder is not None:
-            job._builder.close()
-        job.state, job.message = "cancelled", "Cancelled"
+    if job.steps is not None:
+        job.steps.close()
+    _end(job, "cancelled", "Cancelled")
 
 
 def cancel_all() -> None:
     """Stop everything."""
     for job in list(_queue):
-        if not job.finished:
-            cancel(job)
+        cancel(job)
 
 
 def abandon() -> None:
@@ -258,8 +287,8 @@ def abandon() -> None:
     if current() is not None:
         shared_worker.stop()
     for job in _queue:
-        if job._builder is not None:
-            job._builder.close()
+        if job.steps is not None:
+            job.steps.close()
     _queue.clear()
 
 
@@ -268,20 +297,25 @@ def tick() -> bool:
     job = current() or next((j for j in _queue if j.state == "waiting"), None)
     if job is None:
         return False
+    before, is_over = job.progress, slice_clock()
     try:
-        if job.state == "waiting":
-            _start(job)
-            return True
-        if job.state == "capturing":
-            return _follow(job)
-        return _build(job)
+        if job.steps is None:
+            job.state, job.steps = "capturing", _steps(job)
+        while not is_over():
+            step = next(job.steps)
+            if isinstance(step, Progress):
+                job.progress = step
+                break
+            job.progress = replace(job.progress, title="Building hands", stage="build", done=step, total=1.0)
+    except StopIteration:
+        pass
     except Cancelled:
-        job.state, job.message = "cancelled", "Cancelled"
+        _end(job, "cancelled", "Cancelled")
     except HandfitError as error:
         _fail(job, str(error), error)
     except Exception as error:  # a defect of ours, which must not end the queue
         _fail(job, f"Unexpected {type(error).__name__}: {error}", traceback.format_exc())
-    return True
+    return job.finished or job.progress != before
 
 
 def run() -> list[Job]:
@@ -293,126 +327,124 @@ def run() -> list[Job]:
     return waited
 
 
-def _start(job: Job) -> None:
-    job._take_path = job.output or temporary_take(job.name)
-    job._request = shared_worker.worker().submit(
-        "capture",
-        input=list(job.files),
-        output=str(job._take_path),
-        options=job.options.to_message(),
-        compact=True,
-        bare=job.bare,
-        retimed=job.building.retimed,
-    )
-    job.state = "capturing"
+def _end(job: Job, state: State, message: str, hands_to_choose: int = 0) -> None:
+    """End a job that built nothing."""
+    warnings, offer = job.progress.warnings, job.progress.offer
+    job.state = state
+    job.result = CaptureResult(message, (), warnings, offer, hands_to_choose=hands_to_choose)
 
 
-def _follow(job: Job) -> bool:
-    changed = False
-    for event in shared_worker.worker().events(job._request):
-        changed = True
-        kind = event.get("event")
-        if kind == "progress":
-            _on_progress(job, event)
-        elif kind == "warning":
-            offer, text = str(event.get("offer", "")), str(event.get("message", ""))
-            job.warnings.insert(0 if offer else len(job.warnings), text)
-            job.offer = offer or job.offer
-        elif kind == "error":
-            if event.get("type") == "Cancelled":
-                raise Cancelled(str(event.get("message", "")))
-            _fail(job, str(event.get("message", "")), str(event.get("details", "")))
-        elif kind == "done":
-            job.stopped = bool(event.get("stopped"))
-            job.state, job.fraction = "building", 0.9
-            if job.ask_if_many and len(event.get("hands", ())) > CROWD:
-                job.hands_to_choose = len(event["hands"])
-                job.state, job.message = "cancelled", f"{job.hands_to_choose} hands: choose those to build"
-    return changed
+def _fail(job: Job, sentence: str, more: Exception | str) -> None:
+    # Wherever it is shown, the job's name stands before it.
+    name, files = job.request.name, job.request.files
+    names = (name, *files[:1], *(Source(kind, files).name for kind in ("photo", "sequence")))
+    _end(job, "failed", capitalised(without_name(sentence or "the capture failed", names)))
+    details.write_details(f"Capture of {name}", job.result.message, more)
 
 
-def _on_progress(job: Job, event: dict[str, Any]) -> None:
-    stage, done, total = str(event.get("stage")), int(event.get("done", 0)), int(event.get("total", 0))
-    views = 1 if job.options.view is None else 2
-    if stage == "detect" and job.stage in ("fit", "join", "arms"):  # pictures are read again
-        if job.stage == "fit" and job._views_done < views - 1:
-            job._views_done += 1
-        else:
-            stage = "arms"
-    if stage != job.stage:
-        job.stage, job._stage_began, job._stage_first = stage, time.monotonic(), done
-    job.done, job.total = done, total
-    part = done / total if total else float(stage == "join")
-    # Detection takes nearly all of a capture's time, except with slow solvers.
-    solver = SOLVERS.built_in().get(job.options.solver)
-    share = 0.1 if solver is not None and solver.slow else 0.85
-    own = share * part if stage == "detect" else share + (0.9 - share) * part
-    fraction = (0.9 * job._views_done + own) / views
-    if job.options.arms:
-        fraction = 0.9 - 0.3 * (1.0 - part) if stage == "arms" else fraction * 2.0 / 3.0
-    job.fraction = fraction
+def _finish(job: Job, result: CaptureResult) -> None:
+    """Show what was built, and make it an undo step."""
+    job.state, job.result = "done", result
+    _queue[:] = [other for other in _queue if other not in job.replaces]
+    _make_active(result.hands)
+    _note(job)
+    bpy.ops.ed.undo_push(message="Capture Hands")
 
 
-def _build(job: Job) -> bool:
-    is_over = slice_clock()
-    try:
-        if job._builder is None:
-            job._builder = _builder(job)
-        while not is_over():
-            job.fraction = 0.9 + 0.1 * next(job._builder)
-    except StopIteration as stop:
-        job._builder = None
-        job.hands, warnings, job.message = stop.value
-        job.warnings += warnings
-        job.state, job.fraction = "done", 1.0
-        _queue[:] = [other for other in _queue if other not in job._replaces]
-        _make_active(job.hands)
-        _note(job)
-        bpy.ops.ed.undo_push(message="Capture Hands")
-    except BuildInterrupted:
-        job._builder = None  # an undo took away what was half built: from the start
-    return True
-
-
-def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str], str]]:
-    """Yields how far it is; returns the armatures' names, warnings and a summary."""
-    assert job._take_path is not None
-    try:
-        data = job._take_path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{job._take_path}: the captured take is gone ({error.strerror})") from error
+def _steps(job: Job) -> Generator[_Step, None, None]:
+    """A capture from the request to the worker until the hands are in the scene. Yields how much of them is
+    built, 0..1, or what is waited for."""
+    request = job.request
+    path = request.output or temporary_take(request.name)
+    answer = yield from _capturing(request, path)
+    warnings, offer, found = job.progress.warnings, job.progress.offer, len(answer["hands"])
+    if request.ask_if_many and found > CROWD:
+        _end(job, "cancelled", f"{found} hands: choose those to build", hands_to_choose=found)
+        return
+    job.state = "building"
+    data = _bytes_of(path)
+    yield 0.0
     take = yield from map_yields(Take.reading(data), lambda: 0.0)
-    plan, warnings = job.building, []
+    built = yield from _building_again(request, take, data)
+    verdict, agrees = take.verdict, take.verdict is not None and take.verdict.agreement == "good"
+    result = replace(
+        built,
+        message=_summary(request, take) + (", stopped early" if answer["stopped"] else ""),
+        warnings=(*warnings, *built.warnings, *([] if verdict is None or agrees else [verdict.text])),
+        offer=offer,
+        views_message=verdict.text.rstrip(".") if verdict is not None and agrees else "",
+    )
+    _finish(job, result)
+
+
+def _capturing(request: CaptureRequest, path: Path) -> shared_worker.Asking:
+    """Have the worker write the take; returns its answer."""
+    return shared_worker.ask(
+        "capture",
+        "Starting",
+        input=list(request.files),
+        output=str(path),
+        options=request.options.to_message(),
+        compact=True,
+        bare=request.bare,
+        retimed=request.building.retimed,
+    )
+
+
+def _bytes_of(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: the captured take is gone ({error.strerror})") from error
+
+
+def _building_again(
+    request: CaptureRequest, take: Take, data: bytes
+) -> Generator[_Step, None, CaptureResult]:
+    """Build the take, from the start where an undo takes away what is half built."""
+    while True:
+        try:
+            return (yield from _building(request, take, data))
+        except BuildInterrupted:
+            yield 0.0
+
+
+def _building(request: CaptureRequest, take: Take, data: bytes) -> Generator[_Step, None, CaptureResult]:
+    """Build the take as the request says: onto the hand that it names, or as new hands."""
+    plan, warnings = request.building, []
     if plan.target != "NEW":
         assert plan.hand is not None
-        target = plan.hand.find()
-        if target is not None and hand_of(target) is not None:
+        hand = plan.hand.find()
+        if hand is not None and hand_of(hand) is not None:
             yield 0.5
-            timing = plan.clip.timing if plan.clip else None
-            track = track_for(take, target.manient.side)
-            apply_track(target, take, track, plan.target, plan.frame, timing=timing)
-            return (target.name,), _verdict(job, take), _summary(job, take)
+            timing, track = plan.clip.timing if plan.clip else None, track_for(take, hand.manient.side)
+            apply_track(hand, take, track, plan.target, plan.frame, timing=timing)
+            return CaptureResult(hands=(hand.name,))
         warnings.append(f"the hand {plan.hand.name} is gone, so new hands were built")
-    scene = plan.scene.find()
-    while scene is not None and bpy.context.scene != scene:
-        job.message = f"Open the scene {scene.name} to get the captured hands"
-        yield 0.0
-        scene = plan.scene.find()
+    while (scene := plan.scene.find()) is not None and bpy.context.scene != scene:
+        yield Progress(f"Open the scene {scene.name} to get the captured hands")
     if scene is None:
         warnings.append(f"the scene {plan.scene.name} is gone, so the hands were built in the open one")
-    job.message = ""
+    return (yield from _building_new(request, take, data, scene, warnings))
+
+
+def _building_new(
+    request: CaptureRequest, take: Take, data: bytes, scene: bpy.types.Scene | None, warnings: list[str]
+) -> Generator[_Step, None, CaptureResult]:
+    """Build new hands into the open scene. `scene` is the one that they are meant for, None if it is gone."""
+    plan = request.building
     camera = plan.camera.find() if plan.camera else None
     clip = plan.clip if scene is not None and camera is not None else None
     timing = clip.timing if clip else None
     footage = Footage.of_take(take, own_camera=plan.camera is not None, placed=timing)
     frame = plan.frame if scene is not None else float(bpy.context.scene.frame_current)
-    job.matched = scene is not None and not warnings and matches(scene, plan.matching, footage)
-    job.in_front = scene is not None and becomes_active(scene, plan.matching, job.matched)
+    matched = scene is not None and not warnings and matches(scene, plan.matching, footage)
+    in_front = scene is not None and becomes_active(scene, plan.matching, matched)
     how = BuildOptions(
         data=data,
-        in_front=job.in_front,
+        in_front=in_front,
         pose_correctives=plan.pose_correctives,
-        match_scene=job.matched,
+        match_scene=matched,
         frame=frame,
         timing=timing,
         picture=clip is None or not clip.is_shown,
@@ -420,31 +452,34 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
         camera=camera,
     )
     built = yield from building(take, how)
-    job._capture = BlockReference.of("collections", built.collection)
     for hand in built.hands:
-        hand.armature.manient.smoothing = job.options.smoothing
+        hand.armature.manient.smoothing = request.options.smoothing
     for hand in filter(None, (hand_of(h.armature) for h in built.hands if plan.controls)):
         add_controls(hand)
-    if job.then is not None:
-        yield from map_yields(job.then(built), lambda: 1.0)
+    if request.then is not None:
+        yield from map_yields(request.then(built), lambda: 1.0)
     _pack_cached_pictures(take)
-    warnings += built.warnings
-    warnings += _verdict(job, take)
-    if not job.bare:
-        job.scene_message = scene_sentence(bpy.context.scene, plan.matching, footage, frame, done=job.matched)
-    if (job.matched or job.in_front) and plan.camera is None:
-        warnings += clear_view(built.camera, built.collection, bpy.context.view_layer)
-    return (tuple(hand.armature.name for hand in built.hands), warnings, _summary(job, take))
+    after, said = list[str](), ""
+    if not request.bare:
+        said = scene_sentence(bpy.context.scene, plan.matching, footage, frame, done=matched)
+    if (matched or in_front) and plan.camera is None:
+        after = clear_view(built.camera, built.collection, bpy.context.view_layer)
+    return CaptureResult(
+        hands=tuple(hand.armature.name for hand in built.hands),
+        warnings=(*warnings, *built.warnings, *after),
+        matched=matched,
+        in_front=in_front,
+        scene_message=said,
+        collection=BlockReference.of("collections", built.collection),
+    )
 
 
-def _verdict(job: Job, take: Take) -> list[str]:
-    """Note how well both views fit together; returns it where it is a warning."""
-    if take.verdict is None:
-        return []
-    if take.verdict.agreement != "good":
-        return [take.verdict.text]
-    job.views_message = take.verdict.text.rstrip(".")
-    return []
+def _summary(request: CaptureRequest, take: Take) -> str:
+    if request.bare:
+        return "the picture, for hands that you add"
+    seen, count = int(np.any([track.present for track in take.hands], axis=0).sum()), len(take.frame_numbers)
+    frames = counted(count, "frame") if seen == count else f"{seen} of {count} frames"
+    return f"{counted(len(take.hands), 'hand')} in {frames}"
 
 
 def _captured(scene: bpy.types.Scene) -> list[str]:
@@ -482,23 +517,6 @@ def _make_active(hands: tuple[str, ...]) -> None:
     for armature in armatures:
         armature.select_set(True)
     layer.objects.active = armatures[0]
-
-
-def _fail(job: Job, sentence: str, more: Exception | str) -> None:
-    # Wherever it is shown, the job's name stands before it.
-    names = (job.name, *job.files[:1], *(Source(kind, job.files).name for kind in ("photo", "sequence")))
-    job.state, job.message = "failed", capitalised(without_name(sentence or "the capture failed", names))
-    job._builder = None
-    details.write_details(f"Capture of {job.name}", job.message, more)
-
-
-def _summary(job: Job, take: Take) -> str:
-    if job.bare:
-        return "the picture, for hands that you add"
-    seen, count = int(np.any([track.present for track in take.hands], axis=0).sum()), len(take.frame_numbers)
-    frames = counted(count, "frame") if seen == count else f"{seen} of {count} frames"
-    text = f"{counted(len(take.hands), 'hand')} in {frames}"
-    return f"{text}, stopped early" if job.stopped else text
 
 
 def _duration(seconds: float) -> str:

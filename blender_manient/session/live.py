@@ -17,12 +17,12 @@ import numpy as np
 
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.common.arrays import unpack
-from handfit_core.common.errors import HandfitError, OptionError
+from handfit_core.common.errors import Cancelled, HandfitError, OptionError
 from handfit_core.common.skeleton import Side
 from handfit_core.common.slices import run_to_completion, slice_clock
 from handfit_core.hand_model.files import kept_model
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.worker.events import Event, as_error
+from handfit_core.worker.events import Event
 
 from ..common.block_reference import BlockReference
 from ..common.wording import capitalised, counted
@@ -68,14 +68,17 @@ class LiveSession:
         self.worker = shared_worker.new_worker()
         size = [int(pixels) for pixels in wanted.size.split("x")]
         live = {"online": bpy.app.online_access, "size": size, "fps": wanted.fps, "loop": True}
-        self._request = self.worker.submit(
+        self._asking = shared_worker.ask(
             "live",
+            "Live",
+            self.worker,
             source=wanted.source,
             options=options.to_message(),
             live=live,
             picture=PICTURE_WIDTH,
             mirror=wanted.mirror,
         )
+        self._progress = next(self._asking)
         self._watch = ChangeWatch()
         self._hands: dict[Side, LiveHand] = {}
         self._newest: dict[Side, HandMotion] = {}
@@ -153,7 +156,7 @@ class LiveSession:
 
     def calibrate(self) -> None:
         """Have the worker look at an open hand for a second."""
-        self.worker.tell(self._request, "live-calibrate")
+        self._tell("live-calibrate")
         self._say("hold your open hand still, its palm to the camera")
 
     def snapshot(self) -> None:
@@ -188,7 +191,7 @@ class LiveSession:
             self.hide()
             self.message = why
             self._ending_until = time.monotonic() + _ENDING_SECONDS
-            self.worker.cancel(self._request)
+            self.worker.cancel(self._progress.request)
 
     def abandon(self) -> None:
         """End it and its process now."""
@@ -204,13 +207,7 @@ class LiveSession:
             return self._preview()
         if self._watch.changed:
             self.stop("Live has ended, since the scene was undone or replaced")
-        events = self.worker.events(self._request)
-        newest = None
-        for event in events:
-            if event["event"] == "live":
-                newest = event
-            else:
-                self._take_in(event)
+        newest = self._listen()
         try:
             if self._follows and newest is not None and newest["sequence"] > self._sequence:
                 self._show(newest)
@@ -222,7 +219,36 @@ class LiveSession:
             self.stop()
         if self._ending_until is not None and not self._closed and time.monotonic() > self._ending_until:
             self._close()
-        return self._preview() or bool(events)
+        return self._preview() or bool(self._progress.news) or self._closed
+
+    def _listen(self) -> Event | None:
+        """Take in what the worker says; returns the newest pose."""
+        newest, before = None, self._progress
+        try:
+            self._progress = next(self._asking)
+        except StopIteration as stop:
+            if stop.value["recording"] is not None:
+                self._recorded(stop.value["recording"])
+            if self._ending_until is None:
+                self.message = "The source is over"
+            self._close()
+        except HandfitError as error:
+            self.error = None if isinstance(error, Cancelled) else error
+            self._close()
+        else:
+            for warning in self._progress.warnings[len(before.warnings) :]:
+                self._say(warning)
+            for event in self._progress.news:
+                if event["event"] == "live":
+                    newest = event
+                elif event["event"] == "calibrated":
+                    self._calibrated(event["hands"])
+                elif event["event"] == "recorded":
+                    self._recorded(event)
+        return newest
+
+    def _tell(self, kind: str, **fields: Any) -> None:
+        self.worker.tell(self._progress.request, kind, **fields)
 
     def show_again(self) -> None:
         """Put the hands back where they were shown last: a change of the frame shows keys."""
@@ -253,25 +279,6 @@ class LiveSession:
 
     def _say(self, sentence: str) -> None:
         self.message, self._said = capitalised(sentence), time.monotonic()
-
-    def _take_in(self, event: Event) -> None:
-        kind = event["event"]
-        if kind == "warning":
-            self._say(str(event["message"]))
-        elif kind == "calibrated":
-            self._calibrated(event["hands"])
-        elif kind == "recorded":
-            self._recorded(event)
-        elif kind == "error":
-            if event["type"] != "Cancelled":
-                self.error = as_error(event)
-            self._close()
-        elif kind == "done":
-            if event["recording"] is not None:
-                self._recorded(event["recording"])
-            if self._ending_until is None:
-                self.message = "The source is over"
-            self._close()
 
     def _show(self, event: Event) -> None:
         if not self._sequence or time.monotonic() - self._said > _SAID_SECONDS:
@@ -313,12 +320,12 @@ class LiveSession:
 
     def _begin_recording(self) -> None:
         take = new_take(self.scene, self.options, self.followed)
-        self.worker.tell(self._request, "live-record", output=str(take.path))
+        self._tell("live-record", output=str(take.path))
         self._recording, self._recording_since = take, time.perf_counter()
         self._play(True)
 
     def _end_recording(self) -> None:
-        self.worker.tell(self._request, "live-record", output=None)
+        self._tell("live-record", output=None)
         self._play(False)
 
     def _play(self, on: bool) -> None:

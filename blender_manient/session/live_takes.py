@@ -97,7 +97,7 @@ class LiveTake:
             return f"{name}, preview"
         if job.running:
             return f"{name}, {100.0 * job.fraction:.0f} %"
-        return name if job.state == "done" else f"{name}, preview: {job.message}"
+        return name if job.state == "done" else f"{name}, preview: {job.result.message}"
 
     def motions(self, rate: float) -> tuple[np.ndarray, dict[Side, HandMotion]]:
         """The scene frames (T,), and what the hands did that were shown, at `rate` frames per second."""

@@ -33,6 +33,7 @@ from ..scene.matching import CHOICES
 from ..scene.poses import pose_items
 from ..scene.simplify import PARTS
 from ..scene.spans import SCOPES
+from ..scene.transfer_options import OVERRIDABLE, transfer_properties
 from .hand_table import ManientHandTable
 
 # Plug-ins may import anything, which Blender's process is to be spared.
@@ -109,14 +110,14 @@ def _is_character(_group: Any, obj: bpy.types.Object) -> bool:
 class ManientLiveHand(bpy.types.PropertyGroup):
     """One of the person's hands before a live source."""
 
-    use: BoolProperty(name="Follow", description="Follow this hand of the person", default=True)  # type: ignore
-    character: PointerProperty(  # type: ignore
+    use: BoolProperty(name="Follow", description="Follow this hand of the person", default=True)
+    character: PointerProperty(
         name="Moves",
         description="The character whose hand it moves; empty: an open hand that is made for it",
         type=bpy.types.Object,
         poll=_is_character,
     )
-    other_side: BoolProperty(  # type: ignore
+    other_side: BoolProperty(
         name="Other Hand", description="Move the character's other hand instead, mirrored", default=False
     )
 
@@ -124,7 +125,7 @@ class ManientLiveHand(bpy.types.PropertyGroup):
 class ManientLive(bpy.types.PropertyGroup):
     """Scene.manient.live: the panel Live."""
 
-    source: StringProperty(  # type: ignore
+    source: StringProperty(
         name="Source",
         description="A camera by number or name, the address of a network camera or phone, or file:CLIP to "
         "play a clip",
@@ -134,7 +135,7 @@ class ManientLive(bpy.types.PropertyGroup):
         ],
         search_options={"SUGGESTION"},
     )
-    size: EnumProperty(  # type: ignore
+    size: EnumProperty(
         name="Size",
         description="What the camera is asked for; pictures of other sizes are followed, too",
         items=tuple(
@@ -142,23 +143,23 @@ class ManientLive(bpy.types.PropertyGroup):
         ),
         default="640x480",
     )
-    fps: IntProperty(  # type: ignore
+    fps: IntProperty(
         name="Rate", description="Frames per second that the camera is asked for", default=30, min=1, max=240
     )
-    mirror: BoolProperty(  # type: ignore
+    mirror: BoolProperty(
         name="Mirror Picture",
         description="Show the small picture as a mirror does; hands and recordings stay as they are",
         default=True,
     )
-    left: PointerProperty(type=ManientLiveHand)  # type: ignore
-    right: PointerProperty(type=ManientLiveHand)  # type: ignore
-    countdown: IntProperty(  # type: ignore
+    left: PointerProperty(type=ManientLiveHand)
+    right: PointerProperty(type=ManientLiveHand)
+    countdown: IntProperty(
         name="Countdown", description="Seconds from Record to the first frame", default=3, min=0, max=20
     )
-    play: BoolProperty(  # type: ignore
+    play: BoolProperty(
         name="Play Scene", description="Play the scene's animation while recording", default=False
     )
-    folder: StringProperty(  # type: ignore
+    folder: StringProperty(
         name="Folder",
         description="Where recordings and their takes are written; of a .blend that was never saved: in a "
         "folder of the add-on's",
@@ -171,49 +172,47 @@ class ManientSettings(bpy.types.PropertyGroup):
     """Scene.manient: what the panel shows and the next capture uses."""
 
     # Source
-    source: StringProperty(  # type: ignore
+    source: StringProperty(
         name="Source",
         description="Photo, video, or one picture or the folder of an image sequence",
         subtype="FILE_PATH",
         update=notifier("source"),
     )
-    as_sequence: BoolProperty(  # type: ignore
+    as_sequence: BoolProperty(
         name="Image Sequence",
         description="The numbered pictures beside this one are the frames of one clip",
         update=notifier("as_sequence"),
     )
-    keypoints: StringProperty(  # type: ignore
+    keypoints: StringProperty(
         name="Other Tracker's File",
         description="Hands or keypoints that another program has found in this source, such as OpenPose; "
         "empty: hands are looked for",
         subtype="FILE_PATH",
     )
-    picture_size: IntVectorProperty(  # type: ignore
+    picture_size: IntVectorProperty(
         name="Picture Size",
         description="Pixels of the pictures in which another program has found the hands; 0: not told",
         size=2,
         min=0,
         max=(1 << 24) - 1,
     )
-    second_view: StringProperty(  # type: ignore
+    second_view: StringProperty(
         name="Second View",
         description="A clip of the same hands that a second camera filmed at the same time from elsewhere. "
         "Both cameras must stand still",
         subtype="FILE_PATH",
         update=notifier("second_view"),
     )
-    use_offset: BoolProperty(  # type: ignore
+    use_offset: BoolProperty(
         name="Offset", description="Tell how much later the second view begins; else it is found"
     )
-    offset: FloatProperty(  # type: ignore
-        name="Offset", precision=3, step=1, **option_property("offset")
-    )
-    use_pair: BoolProperty(  # type: ignore
+    offset: FloatProperty(name="Offset", precision=3, step=1, **option_property("offset"))
+    use_pair: BoolProperty(
         name="Pair Two Frames",
         description="Tell the offset by a frame of each clip that shows the same moment, such as a touch of "
         "fingers",
     )
-    pair: IntVectorProperty(  # type: ignore
+    pair: IntVectorProperty(
         name="Same Moment",
         description="A frame of this clip that shows the same moment as the other clip's",
         size=2,
@@ -221,35 +220,30 @@ class ManientSettings(bpy.types.PropertyGroup):
         min=0,
         update=notifier("pair"),
     )
-    cameras: StringProperty(  # type: ignore
+    cameras: StringProperty(
         name="Cameras",
         description="A calibration of both cameras in aniposelib's TOML layout, as FreeMoCap, caliscope and "
         "Pose2Sim write it; empty: they are found from the hands",
         subtype="FILE_PATH",
     )
-    view_lens: StringProperty(  # type: ignore
+    view_lens: StringProperty(
         name="Lens",
         description="The measured lens of the second view's camera; empty: found, or what the clip tells",
         search=_found("measured_lens"),
     )
-    use_baseline: BoolProperty(  # type: ignore
-        name="Baseline",
-        description="Tell how far apart both cameras stood; else the hand's size tells it",
+    use_baseline: BoolProperty(
+        name="Baseline", description="Tell how far apart both cameras stood; else the hand's size tells it"
     )
-    baseline: FloatProperty(  # type: ignore
-        name="Baseline", default=0.5, precision=3, **option_property("baseline")
-    )
-    use_frames: BoolProperty(  # type: ignore
+    baseline: FloatProperty(name="Baseline", default=0.5, precision=3, **option_property("baseline"))
+    use_frames: BoolProperty(
         name="Frame Range", description="Capture only some of the source's frames", default=False
     )
-    first_frame: IntProperty(name="First", description="First source frame", default=1, min=0)  # type: ignore
-    last_frame: IntProperty(name="Last", description="Last source frame", default=100, min=0)  # type: ignore
-    frame_step: IntProperty(  # type: ignore
-        name="Step", description="Use every n-th frame", default=1, min=1, soft_max=10
-    )
+    first_frame: IntProperty(name="First", description="First source frame", default=1, min=0)
+    last_frame: IntProperty(name="Last", description="Last source frame", default=100, min=0)
+    frame_step: IntProperty(name="Step", description="Use every n-th frame", default=1, min=1, soft_max=10)
 
     # Hand
-    model: EnumProperty(  # type: ignore
+    model: EnumProperty(
         name="Model",
         description="Hand model that is fitted and built",
         items=(
@@ -258,12 +252,12 @@ class ManientSettings(bpy.types.PropertyGroup):
         ),
         default="OPEN",
     )
-    model_path: StringProperty(  # type: ignore
+    model_path: StringProperty(
         name="MANO",
         description="MANO file, or the folder with both (empty: the one in the preferences)",
         subtype="FILE_PATH",
     )
-    hands: EnumProperty(  # type: ignore
+    hands: EnumProperty(
         name="Hands",
         items=(
             ("auto", "Auto", "All hands that are found in a photo, up to two in a clip"),
@@ -273,39 +267,33 @@ class ManientSettings(bpy.types.PropertyGroup):
         ),
         **option_property("hands"),
     )
-    added_side: EnumProperty(  # type: ignore
+    added_side: EnumProperty(
         name="Side", description="Which hand Add Hand adds", items=SIDE_ITEMS, default="right"
     )
-    use_hand_length: BoolProperty(  # type: ignore
+    use_hand_length: BoolProperty(
         name="Expected Size", description="Tell how large the hand is, for its distance and shape"
     )
-    hand_length: FloatProperty(  # type: ignore
+    hand_length: FloatProperty(
         name="Length", default=18.5, precision=1, **option_property("hand_length", 100.0, ", in centimeters")
     )
 
     # Capture
-    preset: EnumProperty(  # type: ignore
+    preset: EnumProperty(
         name="Quality",
         description="How closely hands are looked at, and how long that takes",
         items=PRESETS,
         default="STANDARD",
     )
-    experiment: EnumProperty(name="Experiment", items=EXPERIMENTS, default="paper-a-plus")  # type: ignore
+    experiment: EnumProperty(name="Experiment", items=EXPERIMENTS, default="paper-a-plus")
     # Texts, which stay what they are in a file that is opened where there is no such plug-in.
-    solver: StringProperty(name="Solver", search=_found("solver"), **option_property("solver"))  # type: ignore
-    detector: StringProperty(name="Detector", search=_found("detector"), **option_property("detector"))  # type: ignore
-    arms: BoolProperty(name="Arms", **option_property("arms"))  # type: ignore
-    smoothing: FloatProperty(  # type: ignore
-        name="Smoothing", soft_max=4.0, **option_property("smoothing")
+    solver: StringProperty(name="Solver", search=_found("solver"), **option_property("solver"))
+    detector: StringProperty(name="Detector", search=_found("detector"), **option_property("detector"))
+    arms: BoolProperty(name="Arms", **option_property("arms"))
+    smoothing: FloatProperty(name="Smoothing", soft_max=4.0, **option_property("smoothing"))
+    threshold: FloatProperty(
+        name="Detection", subtype="FACTOR", soft_min=0.05, soft_max=0.95, **option_property("threshold")
     )
-    threshold: FloatProperty(  # type: ignore
-        name="Detection",
-        subtype="FACTOR",
-        soft_min=0.05,
-        soft_max=0.95,
-        **option_property("threshold"),
-    )
-    camera: EnumProperty(  # type: ignore
+    camera: EnumProperty(
         name="Camera",
         description="Where the lens comes from",
         items=(
@@ -316,12 +304,12 @@ class ManientSettings(bpy.types.PropertyGroup):
         ),
         default="SOLVE",
     )
-    measured_lens: StringProperty(  # type: ignore
+    measured_lens: StringProperty(
         name="Lens",
         description="The name of the measured lens. Its distortion is taken out of the captured hands",
         search=_found("measured_lens"),
     )
-    focal_length: FloatProperty(  # type: ignore
+    focal_length: FloatProperty(
         name="Focal Length",
         description="Millimeters on a 36 mm wide sensor (35 mm equivalent)",
         default=35.0,
@@ -329,31 +317,29 @@ class ManientSettings(bpy.types.PropertyGroup):
         max=500.0,
         precision=1,
     )
-    matching: EnumProperty(**MATCHING)  # type: ignore
-    matched_time: StringProperty(  # type: ignore
+    matching: EnumProperty(**MATCHING)
+    matched_time: StringProperty(
         description="The rate and range that the scene was given by footage (scene/matching.py)"
     )
-    matched_size: StringProperty(  # type: ignore
-        description="The picture size that the scene was given by footage"
-    )
-    render_setup: BoolProperty(  # type: ignore
+    matched_size: StringProperty(description="The picture size that the scene was given by footage")
+    render_setup: BoolProperty(
         name="Ready to Render",
         description="Where the scene is matched, add lights if it has none and show the picture behind the "
         "hands in renders, its colors as they are (the view transform Standard for Blender's AgX). Your own "
         "lights and world stay as they are",
         default=True,
     )
-    rendered_camera: PointerProperty(  # type: ignore
+    rendered_camera: PointerProperty(
         type=bpy.types.Object,
         description="The capture's camera whose picture and lights renders show (scene/render_setup.py)",
         options={"HIDDEN"},
     )
-    pose_correctives: BoolProperty(**POSE_CORRECTIVES)  # type: ignore
-    add_controls: BoolProperty(  # type: ignore
+    pose_correctives: BoolProperty(**POSE_CORRECTIVES)
+    add_controls: BoolProperty(
         name="Controls",
         description="Give new hands controls to animate them with by hand (Pose > Add Controls)",
     )
-    target: EnumProperty(  # type: ignore
+    target: EnumProperty(
         name="Put On",
         description="What becomes of the captured hands",
         items=(
@@ -364,30 +350,30 @@ class ManientSettings(bpy.types.PropertyGroup):
         default="NEW",
     )
 
-    captured: StringProperty(  # type: ignore
+    captured: StringProperty(
         description="Keys of the listed captures that are in this scene: undo and redo take them along",
         options={"HIDDEN"},
     )
 
-    capture: PointerProperty(  # type: ignore
+    capture: PointerProperty(
         type=bpy.types.Collection,
         description="The capture that was chosen last (scene/captures.py)",
         options={"HIDDEN"},
     )
 
-    live: PointerProperty(type=ManientLive)  # type: ignore
+    live: PointerProperty(type=ManientLive)
 
     # Poses
-    pose: EnumProperty(  # type: ignore
+    pose: EnumProperty(
         name="Pose", description="A ready pose, or a pose asset of this file", items=pose_items
     )
-    pose_blend: FloatProperty(**BLEND)  # type: ignore
-    pose_scope: EnumProperty(**SCOPES, update=notifier("pose_scope"))  # type: ignore
-    pose_first: IntProperty(name="First", description="First scene frame of the range", default=1)  # type: ignore
-    pose_last: IntProperty(name="Last", description="Last scene frame of the range", default=250)  # type: ignore
+    pose_blend: FloatProperty(**BLEND)
+    pose_scope: EnumProperty(**SCOPES, update=notifier("pose_scope"))
+    pose_first: IntProperty(name="First", description="First scene frame of the range", default=1)
+    pose_last: IntProperty(name="Last", description="Last scene frame of the range", default=250)
 
     # Refine
-    spread: IntProperty(  # type: ignore
+    spread: IntProperty(
         name="Spread",
         description="A correction fades out over so many frames before and after; so does a pose that is put "
         "on a range",
@@ -397,7 +383,7 @@ class ManientSettings(bpy.types.PropertyGroup):
         max=1000,
     )
 
-    grip_prop: PointerProperty(  # type: ignore
+    grip_prop: PointerProperty(
         name="Object",
         description="What the hand holds",
         type=bpy.types.Object,
@@ -405,10 +391,10 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
 
     # Character
-    hand_table: PointerProperty(type=ManientHandTable)  # type: ignore
+    hand_table: PointerProperty(type=ManientHandTable)
 
     # Keys
-    keys_degrees: FloatProperty(  # type: ignore
+    keys_degrees: FloatProperty(
         name="Degrees",
         description="No bone turns farther than this from where all keys have it, in any frame",
         default=2.0,
@@ -418,7 +404,7 @@ class ManientSettings(bpy.types.PropertyGroup):
         precision=1,
         step=10,
     )
-    keys_pixels: FloatProperty(  # type: ignore
+    keys_pixels: FloatProperty(
         name="Pixels",
         description="No joint or fingertip of a captured hand moves farther than this in the picture",
         default=2.0,
@@ -428,7 +414,7 @@ class ManientSettings(bpy.types.PropertyGroup):
         precision=1,
         step=10,
     )
-    keys_together: EnumProperty(  # type: ignore
+    keys_together: EnumProperty(
         name="Together",
         description="Which bones have their keys on the same frames",
         items=(
@@ -438,7 +424,7 @@ class ManientSettings(bpy.types.PropertyGroup):
         ),
         default="FINGER",
     )
-    keys_parts: EnumProperty(  # type: ignore
+    keys_parts: EnumProperty(
         name="Simplify",
         description="What gets fewer keys; the rest keeps them",
         items=tuple(
@@ -449,32 +435,22 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
 
     # Export
-    export_format: EnumProperty(  # type: ignore
-        name="Format", items=EXPORT_FORMATS, default="fbx"
-    )
-    export_preset: EnumProperty(  # type: ignore
-        name="For", items=PROGRAMS, default="PLAIN"
-    )
-    export_meshes: BoolProperty(  # type: ignore
+    export_format: EnumProperty(name="Format", items=EXPORT_FORMATS, default="fbx")
+    export_preset: EnumProperty(name="For", items=PROGRAMS, default="PLAIN")
+    export_meshes: BoolProperty(
         name="Meshes", description="Write also what the character deforms or carries", default=True
     )
 
 
-_OVERRIDABLE: Any = {"LIBRARY_OVERRIDABLE"}
-_OF_CHARACTER: Any = {"update": notifier("character"), "override": _OVERRIDABLE}
-_OF_HAND_MOTION: Any = {"update": notifier("hand_motion"), "override": _OVERRIDABLE}
+_OF_CHARACTER: Any = {"update": notifier("character"), "override": OVERRIDABLE}
+_OF_HAND_MOTION: Any = {"update": notifier("hand_motion"), "override": OVERRIDABLE}
 
 
 class ManientCharacterHand(bpy.types.PropertyGroup):
     """One hand of Object.manient.character."""
 
-    use: BoolProperty(  # type: ignore
-        name="Use",
-        description="Whether this hand gets motion",
-        default=True,
-        **_OF_CHARACTER,
-    )
-    source: PointerProperty(  # type: ignore
+    use: BoolProperty(name="Use", description="Whether this hand gets motion", default=True, **_OF_CHARACTER)
+    source: PointerProperty(
         name="Source",
         description="The captured hand whose motion it gets, one of the other side mirrored; empty: the "
         "scene's only one of its side",
@@ -482,14 +458,14 @@ class ManientCharacterHand(bpy.types.PropertyGroup):
         poll=lambda _group, obj: obj.type == "ARMATURE" and obj.manient.is_hand,
         **_OF_CHARACTER,
     )
-    offset: PointerProperty(  # type: ignore
+    offset: PointerProperty(
         name="Offset",
         description="The empty by whose location this hand's whole motion is moved",
         type=bpy.types.Object,
         poll=lambda _group, obj: obj.type == "EMPTY",
         **_OF_HAND_MOTION,
     )
-    hand_map: StringProperty(  # type: ignore
+    hand_map: StringProperty(
         description="Which bones are this hand, as JSON (handfit_core/retarget/hand_map.py); empty: those "
         "that are recognised",
         **_OF_CHARACTER,
@@ -499,140 +475,36 @@ class ManientCharacterHand(bpy.types.PropertyGroup):
 class ManientCharacter(bpy.types.PropertyGroup):
     """Object.manient.character of an armature that gets motion from captured hands."""
 
-    left: PointerProperty(type=ManientCharacterHand, override=_OVERRIDABLE)  # type: ignore
-    right: PointerProperty(type=ManientCharacterHand, override=_OVERRIDABLE)  # type: ignore
-    into: EnumProperty(  # type: ignore
-        name="Into",
-        items=(
-            ("NEW", "New Action", "A new action; the present one goes on in the NLA below it"),
-            ("STRIP", "NLA Strip", "A new strip above all others; the present action stays as it is"),
-            (
-                "ACTION",
-                "Present Action",
-                "The present action: keys of the same bones and frames are replaced",
-            ),
-        ),
-        default="NEW",
-        override=_OVERRIDABLE,
-    )
-    wrist: EnumProperty(  # type: ignore
-        name="Hand",
-        description="What of the hand's own motion is applied, beside its fingers",
-        items=(
-            ("FINGERS", "Fingers Only", "The hand stays as it is"),
-            ("TURNED", "Turned", "The hand turns as the captured one does from the marked frame on"),
-            ("PLACED", "Turned and Moved", "It moves as the captured one does too, as large as it is"),
-        ),
-        default="FINGERS",
-        **_OF_CHARACTER,
-    )
-    reference: IntProperty(  # type: ignore
-        name="Marked Frame",
-        description="The scene frame in which the character's hand is as it is to be in the captured pose",
-        default=1,
-        **_OF_HAND_MOTION,
-    )
-    travel: FloatProperty(  # type: ignore
-        name="Travel",
-        description="How far the hand goes from where it is in the marked frame: 1 as far as the captured "
-        "one, 0 not at all",
-        default=1.0,
-        min=0.0,
-        max=2.0,
-        **_OF_HAND_MOTION,
-    )
-    smoothing: IntProperty(  # type: ignore
-        name="Smoothing",
-        description="Smooth how the hand itself turns and moves over so many frames before and after; "
-        "fingers stay as they are",
-        min=0,
-        soft_max=20,
-        max=1000,
-        **_OF_HAND_MOTION,
-    )
-    time_offset: IntProperty(  # type: ignore
-        name="Time Offset",
-        description="Frames by which the captured motion comes later, for a character that moves already",
-        default=0,
-        soft_min=-1000,
-        soft_max=1000,
-        **_OF_CHARACTER,
-    )
-    contacts: BoolProperty(  # type: ignore
-        name="Keep Contacts",
-        description="Where captured fingertips touch, the character's touch too: both fingers give way",
-        default=True,
-        **_OF_CHARACTER,
-    )
-    arms: BoolProperty(  # type: ignore
-        name="Arms",
-        description="Upper arm, forearm and hand follow the captured arm from the shoulder on, where one was "
-        "captured, by FK or IK, whichever acts",
-        **_OF_CHARACTER,
-    )
-    arms_influence: FloatProperty(  # type: ignore
-        name="Influence",
-        description="How much of the captured arm there is: 0 leaves the character's arm as it is animated",
-        default=1.0,
-        min=0.0,
-        max=1.0,
-        **_OF_CHARACTER,
-    )
-    arms_ease: IntProperty(  # type: ignore
-        name="Ease",
-        description="Frames within which the captured arm comes and goes, where the character's arm is "
-        "animated otherwise",
-        default=10,
-        min=0,
-        soft_max=50,
-        max=1000,
-        **_OF_CHARACTER,
-    )
-    arms_turn: FloatProperty(  # type: ignore
-        name="Turn",
-        description="Turn both captured arms about the character's vertical. Pictures hardly tell where a "
-        "body faces: it may be 20 degrees off",
-        min=-math.pi,
-        max=math.pi,
-        subtype="ANGLE",
-        **_OF_CHARACTER,
-    )
-    arms_outside: BoolProperty(  # type: ignore
-        name="Keep Hands Outside the Body",
-        description="Move hands that would sink into chest or face out of capsules, which stand for the "
-        "character's trunk and head, towards the camera. Pictures hardly tell how far away a hand is: it may "
-        "be 10 cm off",
-        **_OF_CHARACTER,
-    )
-    live: BoolProperty(  # type: ignore
+    left: PointerProperty(type=ManientCharacterHand, override=OVERRIDABLE)
+    right: PointerProperty(type=ManientCharacterHand, override=OVERRIDABLE)
+    live: BoolProperty(
         name="Live Link",
         description="Show every change of the captured hands on this character at once, and key it",
         **_OF_CHARACTER,
     )
-    action: PointerProperty(  # type: ignore
+    action: PointerProperty(
         type=bpy.types.Action,
         description="The action that the live link keys (live_link.py)",
-        override=_OVERRIDABLE,
+        override=OVERRIDABLE,
     )
-    linked: StringProperty(  # type: ignore
-        description="Changes with what the live link has keyed", override=_OVERRIDABLE
-    )
+    linked: StringProperty(description="Changes with what the live link has keyed", override=OVERRIDABLE)
+
+
+ManientCharacter.__annotations__ |= transfer_properties()
 
 
 class ManientHand(bpy.types.PropertyGroup):
     """Object.manient of a captured hand's armature."""
 
-    character: PointerProperty(type=ManientCharacter, override=_OVERRIDABLE)  # type: ignore
-    is_hand: BoolProperty(default=False)  # type: ignore
-    side: StringProperty()  # type: ignore
-    capture: PointerProperty(  # type: ignore
-        type=bpy.types.Collection, description="The collection that keeps the take"
-    )
-    mesh: PointerProperty(  # type: ignore
+    character: PointerProperty(type=ManientCharacter, override=OVERRIDABLE)
+    is_hand: BoolProperty(default=False)
+    side: StringProperty()
+    capture: PointerProperty(type=bpy.types.Collection, description="The collection that keeps the take")
+    mesh: PointerProperty(
         type=bpy.types.Object, description="The hand's own mesh, among all that hangs on the armature"
     )
-    track: IntProperty(default=0)  # type: ignore
-    betas: FloatVectorProperty(  # type: ignore
+    track: IntProperty(default=0)
+    betas: FloatVectorProperty(
         name="Shape",
         description="Proportions of the hand, in standard deviations",
         size=NUM_BETAS,
@@ -642,53 +514,51 @@ class ManientHand(bpy.types.PropertyGroup):
         max=10.0,
         update=notifier("shape"),
     )
-    forearm: BoolProperty(  # type: ignore
+    forearm: BoolProperty(
         name="Forearm",
         description="Show a piece of forearm behind the wrist, which follows a captured arm; without it the "
         "wrist is capped. "
         "Exports have what is shown",
         update=notifier("shape"),
     )
-    wrist: StringProperty(  # type: ignore
-        default="open", description="How the mesh ends now: open, cap or forearm"
-    )
-    corrections: StringProperty(  # type: ignore
+    wrist: StringProperty(default="open", description="How the mesh ends now: open, cap or forearm")
+    corrections: StringProperty(
         description="Corrected frames in files of earlier versions (scene/corrections.py)"
     )
-    fitted: StringProperty(  # type: ignore
+    fitted: StringProperty(
         description="Poses that Re-fit Range has keyed, as base64 text (scene/own_keys.py)"
     )
-    smoothing: FloatProperty(  # type: ignore
+    smoothing: FloatProperty(
         **option_property(
             "smoothing"
         )  # of the keys; not set in files of older versions (refiner.smoothing_of)
     )
-    locked: BoolVectorProperty(  # type: ignore
+    locked: BoolVectorProperty(
         name="Locked Joints",
         description="Joints that refining leaves as they are, in the order of the bones",
         size=NUM_JOINTS,
     )
-    origin: FloatVectorProperty(  # type: ignore
+    origin: FloatVectorProperty(
         size=3, description="Where the object's origin lies in the space of the capture (scene/origin.py)"
     )
-    use_controls: BoolProperty(  # type: ignore
+    use_controls: BoolProperty(
         name="Controls",
         description="Have the controls move the hand; without them it does what its keys say",
         default=True,
         update=notifier("controls"),
     )
-    limits: BoolProperty(  # type: ignore
+    limits: BoolProperty(
         name="Joint Limits",
         description="Stop fingers where joints do, but no sooner than the captured motion goes",
         default=True,
         update=notifier("controls"),
     )
-    show_confidence: BoolProperty(  # type: ignore
+    show_confidence: BoolProperty(
         name="Confidence Colors",
         description="Color bones by how well they meet the picture in this frame",
         update=notifier("confidence"),
     )
-    own_colors: StringProperty(  # type: ignore
+    own_colors: StringProperty(
         description="The bones' own colors while they show confidence, as JSON (scene/confidence.py)"
     )
 
@@ -696,41 +566,39 @@ class ManientHand(bpy.types.PropertyGroup):
 class ManientCapture(bpy.types.PropertyGroup):
     """Collection.manient of a built take."""
 
-    is_capture: BoolProperty(default=False)  # type: ignore
-    is_live: BoolProperty(  # type: ignore
+    is_capture: BoolProperty(default=False)
+    is_live: BoolProperty(
         default=False, description="Whether it holds hands that follow a live source (scene/live_hands.py)"
     )
-    is_aside: BoolProperty(  # type: ignore
-        default=False, description="Whether it is hidden while hands follow a live source"
-    )
-    take: StringProperty(description="The take as base64 text (scene/store.py)")  # type: ignore
-    digest: StringProperty()  # type: ignore
-    camera: PointerProperty(type=bpy.types.Object)  # type: ignore
-    view_camera: PointerProperty(  # type: ignore
+    is_aside: BoolProperty(default=False, description="Whether it is hidden while hands follow a live source")
+    take: StringProperty(description="The take as base64 text (scene/store.py)")
+    digest: StringProperty()
+    camera: PointerProperty(type=bpy.types.Object)
+    view_camera: PointerProperty(
         type=bpy.types.Object, description="The camera of the second view (scene/views.py)"
     )
-    plate: PointerProperty(  # type: ignore
+    plate: PointerProperty(
         type=bpy.types.Image, description="The picture that it put behind the artist's own camera"
     )
-    rendered: BoolProperty(  # type: ignore
+    rendered: BoolProperty(
         default=True, description="Whether renders showed it before it was hidden (scene/captures.py)"
     )
-    frame_offset: FloatProperty(default=0.0)  # type: ignore
-    frame_scale: FloatProperty(  # type: ignore
+    frame_offset: FloatProperty(default=0.0)
+    frame_scale: FloatProperty(
         default=1.0, description="Scene frame = frame_offset + frame_scale * the take's frame number"
     )
-    source_take: StringProperty(  # type: ignore
+    source_take: StringProperty(
         description="The take as it was captured, where the kept one is retimed, as base64 text"
     )
-    source_digest: StringProperty()  # type: ignore
-    scene_rate: FloatProperty(  # type: ignore
+    source_digest: StringProperty()
+    scene_rate: FloatProperty(
         description="Frames per second of the scene that the clip was built for; 0: it has no rate, or an "
-        "older version built it",
+        "older version built it"
     )
 
 
 PROPERTIES = {
-    (bpy.types.Scene, "manient"): lambda: PointerProperty(type=ManientSettings, override=_OVERRIDABLE),
-    (bpy.types.Object, "manient"): lambda: PointerProperty(type=ManientHand, override=_OVERRIDABLE),
-    (bpy.types.Collection, "manient"): lambda: PointerProperty(type=ManientCapture, override=_OVERRIDABLE),
+    (bpy.types.Scene, "manient"): lambda: PointerProperty(type=ManientSettings, override=OVERRIDABLE),
+    (bpy.types.Object, "manient"): lambda: PointerProperty(type=ManientHand, override=OVERRIDABLE),
+    (bpy.types.Collection, "manient"): lambda: PointerProperty(type=ManientCapture, override=OVERRIDABLE),
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +25,6 @@ from .cache import remove_temporary_takes
 _EXIT_WAIT_SECONDS = 3.0
 """seconds that disabling the add-on waits for killed processes; they need a tenth of one"""
 
-_POLL_SECONDS = 0.2
-"""seconds between two looks for answers that nobody waits for"""
-
 
 @dataclass(frozen=True)
 class _Settings:
@@ -38,8 +35,6 @@ class _Settings:
 
 _worker: Worker | None = None
 _worker_settings: _Settings | None = None
-_abandoned: set[int] = set()
-"""Requests whose answers nobody waits for any more"""
 
 
 def worker() -> Worker:
@@ -97,65 +92,113 @@ def stop() -> None:
     remove_temporary_takes()
 
 
-class Waiting(str):
-    """What steps yield while another process works: how far that is."""
+_STAGES = {"detect": "Finding hands", "arms": "Finding arms", "fit": "Fitting", "join": "Joining views"}
+"""A stage of the worker in words"""
 
 
-def ask(
-    kind: str, title: str, of_worker: Worker | None = None, **fields: Any
-) -> Generator[Waiting, None, Event]:
-    """Send a request to the shared worker, or to `of_worker`, and wait for it: yields the title with what is
-    done, or with the seconds so far. Returns the `done` event; where it is closed, the request is cancelled.
-    Raises HandfitError where the request failed."""
-    asked, began, progress, request = of_worker or worker(), time.monotonic(), "", 0
+@dataclass(frozen=True)
+class Progress:
+    """How far a request to the worker is, as `ask` yields it, or other work of a capture."""
+
+    title: str
+    """What is done, as a text about it begins"""
+    stage: str = ""
+    """The worker's own name of what it does now; empty until it says so"""
+    view: int = 0
+    done: float = 0
+    total: float = 0
+    """Frames of the stage; 0 while unknown"""
+    began: float = field(default_factory=time.monotonic)
+    """The moment of `time.monotonic` at which the stage, or before the first one the request, began"""
+    first: float = 0
+    """What was done when the worker first told of the stage"""
+    warnings: tuple[str, ...] = ()
+    offer: str = ""
+    """The operator, `find_hands` or `add_hand`, that helps with the first warning"""
+    request: int = 0
+    """The number of the request, for `Worker.cancel` and `Worker.tell`"""
+    news: tuple[Event, ...] = ()
+    """Other events that have come since the last time: those of `live`"""
+
+    @property
+    def part(self) -> float:
+        """How much of the stage is done, 0..1; 0 where nobody knows how long it takes."""
+        return self.done / self.total if self.total else 0.0
+
+    @property
+    def rate(self) -> float:
+        """Frames per second of this stage; 0 while unknown."""
+        spent, frames = time.monotonic() - self.began, self.done - self.first
+        return frames / spent if self.stage and frames > 0 and spent > 0.2 else 0.0
+
+    def stage_text(self, views: int = 1) -> str:
+        """The stage in words, of which view where there are more, and how many of its frames are done."""
+        text = _STAGES.get(self.stage, self.title)
+        if views > 1 and self.stage in ("detect", "fit"):
+            text += f", view {self.view + 1}"
+        return f"{text}  {self.done}/{self.total}" if self.total > 1 else text
+
+    def __str__(self) -> str:
+        """The title with what is done, or with the seconds so far."""
+        far = f"{self.done}/{self.total}" if self.total else f"{time.monotonic() - self.began:.0f} s"
+        return f"{self.title}  {far}"
+
+    def after(self, event: Event) -> Progress:
+        """How far it is after an event of the worker."""
+        if event["event"] == "warning":
+            offer, text = event.get("offer", ""), event["message"]
+            warnings = (text, *self.warnings) if offer else (*self.warnings, text)
+            return replace(self, warnings=warnings, offer=offer or self.offer)
+        if event["event"] != "progress":
+            return replace(self, news=(*self.news, event))
+        at = {name: event[name] for name in ("stage", "view", "done", "total")}
+        if (at["stage"], at["view"]) != (self.stage, self.view):
+            at |= {"began": time.monotonic(), "first": at["done"]}
+        return replace(self, **at)
+
+
+Asking = Generator[Progress, None, Event]
+"""A request that is waited for"""
+
+
+def ask(kind: str, title: str, of_worker: Worker | None = None, **fields: Any) -> Asking:
+    """Send a request to the shared worker, or to `of_worker`, and wait for it: yields how far it is. Returns
+    the `done` event; where it is closed, the request is cancelled. Raises HandfitError where the request
+    failed, which of the shared worker's is written down under the title, if there is one."""
+    asked, progress, request = of_worker or worker(), Progress(title), 0
     try:
         request = asked.submit(kind, **fields)
+        progress = replace(progress, request=request)
         while True:
+            yield progress
+            yielded = progress = replace(progress, news=())
             for event in asked.events(request):
-                if event["event"] == "progress" and event.get("total"):
-                    progress = f"{event['done']}/{event['total']}"
-                if (done := _done(event)) is not None:
-                    request = 0
-                    return done
-            yield Waiting(f"{title}  {progress or f'{time.monotonic() - began:.0f} s'}")
+                if event["event"] not in ("done", "error"):
+                    progress = progress.after(event)
+                    continue
+                request = 0
+                if progress is not yielded:
+                    yield progress
+                if event["event"] == "error":
+                    raise as_error(event)
+                return event
     except HandfitError as error:
-        if of_worker is None:
+        if of_worker is None and title:
             details.write_details(title, str(error), error)
         raise
     finally:
-        if request and of_worker is None:
-            abandon(request)
+        if request:
+            asked.abandon(request)
 
 
-def answer(request: int) -> Event | None:
-    """The `done` event of a request to the shared worker; None while there is none. Raises HandfitError where
-    the request failed."""
-    return next(filter(None, map(_done, worker().events(request))), None)
-
-
-def _done(event: Event) -> Event | None:
-    if event["event"] == "error":
-        raise as_error(event)
-    return event if event["event"] == "done" else None
-
-
-def abandon(request: int, *, cancel: bool = True) -> None:
-    """Throw the answer to a request away when it comes, and unless that is of use later, cancel it."""
-    if cancel:
-        worker().cancel(request)
-    _abandoned.add(request)
-    if not bpy.app.timers.is_registered(_collect):
-        bpy.app.timers.register(_collect, first_interval=_POLL_SECONDS, persistent=True)
-
-
-def _collect() -> float | None:
-    if _worker is None:
-        return _abandoned.clear()
-    for event in _worker.events(*_abandoned) if _abandoned else ():
-        if event["event"] in ("done", "error"):
-            _abandoned.discard(event["id"])
-    # Another worker's numbers mean nothing to this one.
-    return _POLL_SECONDS if _abandoned and _worker.busy else _abandoned.clear()
+def advance(asking: Asking) -> Event | None:
+    """Go on with what `ask` waits for: its answer, None while there is none. Raises HandfitError where the
+    request failed."""
+    try:
+        next(asking)
+    except StopIteration as stop:
+        return stop.value
+    return None
 
 
 def _settings() -> _Settings:
@@ -174,9 +217,6 @@ def bytecode_folder() -> Path | None:
     if sys.platform == "win32" or not installation.is_installed():
         return None
     return Path(bpy.utils.extension_path_user(preferences.ADDON, path="bytecode"))
-
-
-TIMERS = (_collect,)
 
 
 def register() -> None:

@@ -159,8 +159,8 @@ Field = Literal["source", "second_view"]
 VIEWS: tuple[Field, ...] = ("source", "second_view")
 
 _known: dict[Field, SourceInfo] = {}
-_asked: dict[int, tuple[SourceInfo, Callable[[SourceInfo, dict[str, Any]], None]]] = {}
-"""Whom a request to the worker is about, and what takes up its answer"""
+_asked: list[tuple[shared_worker.Asking, SourceInfo, Callable[[SourceInfo, dict[str, Any]], None]]] = []
+"""Requests to the worker, the sources that they are about, and what takes up their answers"""
 _previews: Any = None
 
 
@@ -262,8 +262,9 @@ def _ask(
     """Send the worker a request about a source."""
     assert info.files is not None
     with contextlib.suppress(HandfitError):  # the capture itself will say what is wrong with the worker
-        request = shared_worker.worker().submit(kind, input=list(info.files.files), **fields)
-        _asked[request] = (info, then)
+        asking = shared_worker.ask(kind, "", input=list(info.files.files), **fields)
+        next(asking)
+        _asked.append((asking, info, then))
         if not bpy.app.timers.is_registered(_await_answers):
             bpy.app.timers.register(_await_answers, first_interval=_POLL_SECONDS)
 
@@ -345,7 +346,7 @@ def frame_picture(info: SourceInfo, frame: int) -> int:
     """An icon of one frame, which the worker is asked for; until it comes, that of the last one, or 0."""
     if info.files is None or bpy.app.background:
         return 0
-    if info.pictured != frame and not any(about is info for about, _ in _asked.values()):
+    if info.pictured != frame and not any(about is info for _, about, _ in _asked):
         info.pictured = frame
         options = CaptureOptions(
             frames=FrameRange(frame, frame),
@@ -406,20 +407,18 @@ def _await_answers() -> float | None:
         return None
     if jobs.current() is not None:
         return 1.0  # the worker answers after that
-    for request, (info, then) in list(_asked.items()):
+    for one in list(_asked):
+        asking, info, then = one
         try:
-            found = shared_worker.answer(request)
+            found = shared_worker.advance(asking)
+            if found is None:
+                continue
+            then(info, found)
         except HandfitError as error:
             if then is _describe:
                 # The panel has the path above.
                 info.problem = capitalised(without_name(str(error), info.files.files if info.files else ()))
-            found = None
-        else:
-            if found is None and shared_worker.worker().alive:
-                continue
-        if found is not None:
-            then(info, found)
-        del _asked[request]
+        _asked.remove(one)
         screen.redraw_sidebars()
     return _POLL_SECONDS
 

@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any, Literal
@@ -42,7 +43,7 @@ from handfit_core.take.fit_quality import (
 
 log = logging.getLogger("handfit")
 
-Stage = Literal["detect", "fit", "join", "score", "lens"]
+Stage = Literal["detect", "fit", "arms", "join", "score", "lens"]
 """`join` is of two views, `score` of evaluations, and `lens` of a lens that is measured"""
 
 
@@ -55,6 +56,8 @@ class Progress:
     """frames of this stage, over all hands; steps of `join`"""
     total: int
     """0 where nobody knows"""
+    view: int = 0
+    """the view, 0 or 1, that `detect` and `fit` are of"""
 
 
 ProgressCallback = Callable[[Progress], None]
@@ -115,7 +118,7 @@ def _captured(
 
         total = len(found.numbers)
         found, bodies = with_bodies(
-            found, media, options, lambda done: report(Progress("detect", done, total)), stop
+            found, media, options, lambda done: report(Progress("arms", done, total)), stop
         )
     hands, digests = fit_hands(
         found, options, media.fps, lambda done, total: report(Progress("fit", done, total)), stop
@@ -155,9 +158,9 @@ def _capture_both(
         second = replace(second, lens=rig.lenses[1])
     views: list[ViewTake | None] = []
     missing: list[HandfitError] = []
-    for given, each in ((source, first), (options.view, second)):
+    for view, (given, each) in enumerate(((source, first), (options.view, second))):
         try:
-            views.append(_captured(given, each, report, stop))
+            views.append(_captured(given, each, partial(_report_of, report, view), stop))
         except (NoHandFoundError, Cancelled) as error:
             missing.append(error)
             views.append(None)
@@ -165,6 +168,10 @@ def _capture_both(
     if options.arms and not stop():
         take = add_arms(take, report, stop, max_megapixels=options.max_megapixels)
     return take
+
+
+def _report_of(report: ProgressCallback, view: int, progress: Progress) -> None:
+    report(replace(progress, view=view))
 
 
 def _joined(
@@ -234,7 +241,7 @@ def add_arms(
         [hand.keypoints_2d for hand in take.hands],
         take.lens or take.intrinsics,
         None,
-        lambda done: report(Progress("detect", done, total)),
+        lambda done: report(Progress("arms", done, total)),
         stop,
     )
     if stop():

@@ -19,13 +19,14 @@ import binascii
 import math
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import MISSING, dataclass, field, is_dataclass
+from functools import cache
 from typing import Any, Final, Literal, TypeVar, dataclass_transform
 
 import numpy as np
 
 from handfit_core.common.errors import ProtocolError
 from handfit_core.common.npz import NpzArchive
-from handfit_core.common.values import Unfit, whole
+from handfit_core.common.values import Unfit, shortly, whole
 
 LARGEST: Final = 1e9
 """Metres, pixels, radians: what is beyond in either direction was not measured"""
@@ -42,6 +43,7 @@ _KEPT: Final = {"f": "f", "b": "b", "i": "iu"}
 """NumPy's kinds that files may hold for a declared one: nobody writes whole numbers for floats"""
 
 _Class = TypeVar("_Class", bound=type)
+_Object = TypeVar("_Object")
 
 
 @dataclass(frozen=True)
@@ -122,8 +124,11 @@ class Value:
 
 
 def value(kind: Callable[..., Any], default: Any = MISSING, **bounds: float) -> Any:
-    """A field that holds a plain value, as `Value` says."""
-    return field(default=default, metadata={"value": Value(kind, bounds)})
+    """A field that holds a plain value, as `Value` says. `default`: a class for a new object of it."""
+    metadata = {"value": Value(kind, bounds)}
+    if isinstance(default, type):
+        return field(default_factory=default, metadata=metadata)
+    return field(default=default, metadata=metadata)
 
 
 @dataclass_transform(eq_default=False, frozen_default=True, field_specifiers=(array, value, field))
@@ -140,7 +145,12 @@ def declared_values(of: Any) -> dict[str, Value]:
 
 def declared(of: Any) -> dict[str, Array]:
     """The arrays of a dataclass, or of one of its objects, by their fields' names."""
-    fields = of.__dataclass_fields__.items()
+    return _declared(of if isinstance(of, type) else type(of))
+
+
+@cache
+def _declared(cls: Any) -> dict[str, Array]:
+    fields = cls.__dataclass_fields__.items()
     return {name: each.metadata["array"] for name, each in fields if "array" in each.metadata}
 
 
@@ -220,7 +230,8 @@ def unpacked(cls: type, message: Mapping[str, Any], where: str = "") -> dict[str
     found: dict[str, Any] = {}
     try:
         for name, each in declared_values(cls).items():
-            if name in message or cls.__dataclass_fields__[name].default is MISSING:
+            declared_as = cls.__dataclass_fields__[name]
+            if name in message or declared_as.default is declared_as.default_factory is MISSING:
                 found[name] = each.kind(name, message.get(name))
     except Unfit as error:
         raise ProtocolError(f"{where}{error}") from error
@@ -237,6 +248,17 @@ def unpacked(cls: type, message: Mapping[str, Any], where: str = "") -> dict[str
             raise ProtocolError(f"{where}{name} holds {array.dtype}, expected {_KINDS[spec.kind]}")
         found[name] = array.astype(spec.dtype(np.float64), copy=False)
     return found
+
+
+def object_of(cls: type[_Object]) -> Callable[[str, Any], _Object]:
+    """The kind of an object whose fields are plain values: it makes one of a JSON object."""
+
+    def read(name: str, value: Any) -> _Object:
+        if not isinstance(value, Mapping):
+            raise Unfit(f"{name} must be an object, not {shortly(value)}")
+        return cls(**unpacked(cls, value, f"{name}: "))
+
+    return read
 
 
 def kept_arrays(of: Any, prefix: str = "", floats: type = np.float64) -> dict[str, np.ndarray]:

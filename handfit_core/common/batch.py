@@ -20,7 +20,8 @@ class Batch:
     __dataclass_fields__: dict[str, Any]
 
     def __len__(self) -> int:
-        return len(next(value for _, value in self._rows()))
+        values = (getattr(self, name) for name in self.__dataclass_fields__)
+        return len(next(value for value in values if isinstance(value, np.ndarray | Batch)))
 
     def _rows(self) -> list[tuple[str, Any]]:
         """Name and value of the fields that have a row for each hand or frame."""

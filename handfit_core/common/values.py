@@ -70,6 +70,34 @@ def listed(name: str, value: Any, kind: Callable[[str, Any], T]) -> tuple[T, ...
     raise Unfit(f"{name} must be a list, not {shortly(value)}")
 
 
+def any_text(name: str, value: Any) -> str:
+    """A text of any length, also of what UTF-8 does not have, as names of files may be."""
+    if isinstance(value, str):
+        return value
+    raise Unfit(f"{name} must be a text, not {shortly(value)}")
+
+
+def list_of(kind: Callable[[str, Any], T]) -> Callable[[str, Any], list[T]]:
+    """The kind of a list of which each entry is of that kind."""
+    return lambda name, value: list(listed(name, value, kind))
+
+
+def dict_of(kind: Callable[[str, Any], T]) -> Callable[[str, Any], dict[str, T]]:
+    """The kind of an object of which each value is of that kind."""
+
+    def read(name: str, value: Any) -> dict[str, T]:
+        if isinstance(value, dict):
+            return {key: kind(f"{name} of {shortly(key)}", each) for key, each in value.items()}
+        raise Unfit(f"{name} must be an object, not {shortly(value)}")
+
+    return read
+
+
+def or_none(kind: Callable[[str, Any], T]) -> Callable[[str, Any], T | None]:
+    """The kind of what is of that kind or None."""
+    return lambda name, value: None if value is None else kind(name, value)
+
+
 def one_of(*choices: str) -> Callable[[str, Any], Any]:
     """The kind of a text that is one of those."""
 

@@ -139,7 +139,7 @@ class BodyNetworks(Runner):
         crop = crop_about(axis)
         landmarks, presence, world = self._run(self._landmarks, crop.render(rgb))
         points = landmarks.reshape(SETTINGS.numbers, 5).astype(np.float64)
-        back = np.linalg.inv(crop.linear).T
+        back = crop.inverse.T
         pixels = (points[:, :2] - crop.offset) @ back
         metres = world.reshape(SETTINGS.numbers, 3)[:NUM_BODY_POINTS].astype(np.float64)
         metres[:, :2] = metres[:, :2] @ (back * crop.scale)

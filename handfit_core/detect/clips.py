@@ -157,7 +157,7 @@ class ClipFinder(HandTracker, Detector):
             self._seen_alone.append((index, tracked.last, tracked, len(tracked.differences)))
             return tracked.last
         hand = cross_check(self._networks, rgb, tracked.last, tracked.min_presence)
-        if hand.asked_2020.all():
+        if self._networks.take_turns:
             tracked.differences.append(Difference.of(hand, index, time))
         return hand
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-
-from handfit_core.detect.keypoints import Detections
 
 
 def downscale(rgb: np.ndarray, block_width: int, block_height: int) -> np.ndarray:
@@ -46,14 +45,19 @@ class Crop:
             linear[:, 0] *= -1.0
         return cls(linear, size / 2.0 - linear @ np.asarray(centre, dtype=np.float64), size)
 
-    @property
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """(2, 2) inverse of `linear`."""
+        return np.linalg.inv(self.linear)
+
+    @cached_property
     def scale(self) -> float:
         """Crop pixels per picture pixel."""
         return float(np.sqrt(abs(np.linalg.det(self.linear))))
 
-    @property
+    @cached_property
     def mirrored(self) -> bool:
-        """Whether left and right hands are swapped."""
+        """True if left and right hands are swapped."""
         return bool(np.linalg.det(self.linear) < 0.0)
 
     def render(self, rgb: np.ndarray, *, black_beyond: bool = False) -> np.ndarray:
@@ -64,10 +68,10 @@ class Crop:
         height, width = rgb.shape[:2]
         linear, offset, half = self.linear, self.offset, 0.5 / self.scale
         # Only the part that is seen is warped, with the margin that its outer pixels mix in.
-        corners = (np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * self.size - offset) @ np.linalg.inv(linear).T
-        margin = 2.0 + 2.0 * half
-        first = np.clip(np.floor(corners.min(axis=0) - margin), 0, [width - 1, height - 1]).astype(int)
-        last = np.clip(np.ceil(corners.max(axis=0) + margin), first + 1, [width, height]).astype(int)
+        centre = self.inverse @ (self.size / 2.0 - offset)
+        reach = np.abs(self.inverse).sum(axis=1) * self.size / 2.0 + 2.0 + 2.0 * half
+        first = np.minimum(np.maximum(np.floor(centre - reach), 0), [width - 1, height - 1]).astype(int)
+        last = np.minimum(np.maximum(np.ceil(centre + reach), first + 1), [width, height]).astype(int)
         rgb, offset = rgb[first[1] : last[1], first[0] : last[0]], offset + linear @ first
         if half >= 1.5:
             # Linear interpolation alone would skip pixels, so whole blocks are averaged first.
@@ -83,15 +87,12 @@ class Crop:
             borderMode=cv2.BORDER_CONSTANT if black_beyond else cv2.BORDER_REPLICATE,
         )
 
-    def to_picture(self, hand: Detections) -> Detections:
-        """Map a hand detected in the crop to the picture: its pixels, world axes and side."""
-        world, inverse = hand.world.copy(), np.linalg.inv(self.linear)
-        world[0, :, :2] = world[0, :, :2] @ (inverse * self.scale).T
-        side = 1 - hand.side if self.mirrored else hand.side
-        keypoints = self.points_to_picture(hand.keypoints[0])[None]
-        return replace(hand, side=side, keypoints=keypoints, world=world)
+    def world_to_picture(self, world: np.ndarray) -> np.ndarray:
+        """Turn world landmarks (21, 3), metres, from the crop's axes to the picture's."""
+        plane = world[:, :2] @ (self.inverse * self.scale).T
+        return np.column_stack([plane, world[:, 2]])
 
     def points_to_picture(self, points: np.ndarray) -> np.ndarray:
         """Map points (21, 3) with depth from crop pixels to picture pixels."""
-        plane = (points[:, :2] - self.offset) @ np.linalg.inv(self.linear).T
+        plane = (points[:, :2] - self.offset) @ self.inverse.T
         return np.column_stack([plane, points[:, 2] / self.scale])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, Final, Self
 
 import numpy as np
@@ -130,6 +130,8 @@ class Detections(Batch):
     def of(cls, frames: Sequence[Iterable[Self]]) -> Self:
         """The hands of T frames; a frame may be `Detections`, or several of them."""
         parts = [(row, part) for row, frame in enumerate(frames) for part in _parts(frame)]
+        if not parts:
+            return _none(cls)
         rows, hands = np.array([row for row, _ in parts], dtype=np.int64), [hands for _, hands in parts]
         columns: dict[str, Any] = {name: _joined(name, spec, hands) for name, spec in declared(cls).items()}
         return cls(**columns | {"frame": np.repeat(rows, np.array([len(each) for each in hands], dtype=int))})
@@ -224,6 +226,12 @@ _UNKNOWN: Final = {
 """What stands in a small column that nobody filled"""
 
 
+@cache
+def _none(cls: type[Detections]) -> Any:
+    """Detections of no hand."""
+    return cls(**{name: _joined(name, spec, []) for name, spec in declared(cls).items()})
+
+
 def _parts(frame: Iterable[Detections]) -> Iterable[Detections]:
     return [frame] if isinstance(frame, Detections) else frame
 
@@ -234,6 +242,8 @@ def _joined(name: str, spec: Array, parts: Sequence[Detections]) -> np.ndarray |
     columns = [getattr(part, name) for part in parts]
     if spec.optional and all(column is None for column in columns) and name not in _UNKNOWN:
         return None
+    if len(columns) == 1 and columns[0] is not None:
+        return columns[0].astype(spec.dtype(np.float64), copy=False)
     shape = [size for size in spec.shape if isinstance(size, int)]
     nothing = False if spec.kind == "b" else np.nan
     filled = [

@@ -37,6 +37,7 @@ class TaskFile:
     """Where MediaPipe's landmark model is found, and the wheel that it is assembled from."""
 
     name: str = "hand_landmarker.task"
+    sha256: str = "7462e38bc4b5eb36699bb7f406e28e9768e70b0b073e0cf8a8da419ea4b8fa02"
     variable: str = "HANDFIT_LANDMARK_MODEL"
     """Environment variable with the file's path, used where no option gives it"""
     wheel_requirement: str = "mediapipe==0.10.21"

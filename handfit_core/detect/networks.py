@@ -152,7 +152,7 @@ def crop_around(keypoints: np.ndarray) -> Crop:
 def square_around(keypoints: np.ndarray) -> tuple[np.ndarray, float, float]:
     """Centre (2,) and side in pixels, and turn in radians, of the crop around landmarks (21, 2 or more)."""
     upright = crop_around(keypoints)
-    centre = np.linalg.inv(upright.linear) @ (NETWORK.hand_input_px / 2.0 - upright.offset)
+    centre = upright.inverse @ (NETWORK.hand_input_px / 2.0 - upright.offset)
     turn = float(np.arctan2(upright.linear[1, 0], upright.linear[0, 0]))
     return centre, NETWORK.hand_input_px / upright.scale, turn
 
@@ -238,6 +238,8 @@ class Networks(Runner):
         self.threads = min(usable_threads(), NETWORK.max_threads)
         """How many run the networks on several crops of a picture"""
         self._landmark_model = landmark_model
+        self._rendered: tuple[np.ndarray, Crop, np.ndarray] | None = None
+        """The last picture, its crop and the crop's pixels, which both landmark networks see"""
         self._pool: ThreadPoolExecutor | None = None
         self._background: ThreadPoolExecutor | None = None
         """Looks for palms in a live picture while hands are followed into it"""
@@ -293,7 +295,7 @@ class Networks(Runner):
 
     @property
     def is_draft(self) -> bool:
-        """Whether the landmark network of December 2020 replaces the present one."""
+        """True if the landmark network of December 2020 replaces the present one."""
         return self.quality == "draft" and self._hand_2020 is not None
 
     def detect_palms(self, rgb: np.ndarray, crop: Crop, min_score: float) -> Palms:
@@ -305,36 +307,45 @@ class Networks(Runner):
         numbers = boxes.reshape(-1, 9, 2)[chosen]
         numbers[:, 0] += NETWORK.palm_input_px * anchors()[chosen]
         numbers[:, 2:] += NETWORK.palm_input_px * anchors()[chosen][:, None]
-        inverse = np.linalg.inv(crop.linear)
         return Palms(
             score=1.0 / (1.0 + np.exp(-logits[chosen])),
-            centre=(numbers[:, 0] - crop.offset) @ inverse.T,
+            centre=(numbers[:, 0] - crop.offset) @ crop.inverse.T,
             side=numbers[:, 1].max(axis=1) / crop.scale,
-            points=(numbers[:, 2:] - crop.offset) @ inverse.T,
+            points=(numbers[:, 2:] - crop.offset) @ crop.inverse.T,
         )
 
     def predict(self, rgb: np.ndarray, crop: Crop, *, by_2020: bool = False) -> Detections:
         """Run the landmark network on a crop, `hand_input_px` wide, of a picture (H, W, 3) uint8 RGB; in
-        drafts, or with `by_2020`, the one of December 2020. Returns one hand, whose `certainty` is its
-        presence, the probability that the crop shows a hand, and whose `score` is that of the side."""
-        pixels = crop.render(rgb)
-        if by_2020 or self.is_draft:
-            return self._predict_2020(pixels, crop)
-        landmarks, presence, handedness, world = self._run(self._hand, pixels)
-        right = float(handedness[0])
-        hand = Detections.hand(
-            side="right" if right >= 0.5 else "left",
-            score=max(right, 1.0 - right),
-            keypoints=_with_depth(landmarks),
-            world=world.reshape(NUM_KEYPOINTS, 3).astype(np.float64),
-            certainty=float(presence[0]),
+        drafts, or with `by_2020`, the one of December 2020, whose world landmarks are its keypoints at the
+        size of an average hand. Returns one hand, whose `certainty` is its presence, the probability that the
+        crop shows a hand, and whose `score` is that of the side."""
+        if self._rendered is None or self._rendered[0] is not rgb or self._rendered[1] is not crop:
+            self._rendered = rgb, crop, crop.render(rgb)
+        pixels = self._rendered[2]
+        by_2020 = by_2020 or self.is_draft
+        if by_2020:
+            landmarks, (presence,), (right,) = self._run(self._hand_2020, pixels)
+            keypoints = _with_depth(landmarks)
+            world = average_sized(keypoints)
+            odds = float(presence) / max(1.0 - float(presence), 1e-9) * np.exp(-NETWORK.presence_bias_2020)
+            presence = odds / (1.0 + odds)
+        else:
+            landmarks, (presence,), (right,), world = self._run(self._hand, pixels)
+            keypoints, world = _with_depth(landmarks), world.reshape(NUM_KEYPOINTS, 3).astype(np.float64)
+        keypoints = crop.points_to_picture(keypoints)
+        return Detections.hand(
+            side="right" if (right >= 0.5) != crop.mirrored else "left",
+            score=max(float(right), 1.0 - float(right)),
+            keypoints=keypoints,
+            world=crop.world_to_picture(world),
+            keypoints_2020=keypoints if by_2020 else None,
+            certainty=float(presence),
         )
-        return crop.to_picture(hand)
 
     @property
-    def has_both(self) -> bool:
-        """Whether the landmark network of December 2020 is there beside the present one."""
-        return self.quality != "draft" and self._hand_2020 is not None
+    def take_turns(self) -> bool:
+        """True if both landmark networks follow the hands of a clip in turn."""
+        return self.quality == "standard" and self._hand_2020 is not None
 
     def with_keypoints_2020(self, rgb: np.ndarray, hand: Detections) -> Detections:
         """Add to a hand of a picture (H, W, 3) uint8 RGB the keypoints of the landmark network of December
@@ -353,18 +364,6 @@ class Networks(Runner):
             return done
         self._background = self._background or ThreadPoolExecutor(1, "handfit-background")
         return self._background.submit(function)
-
-    def _predict_2020(self, pixels: np.ndarray, crop: Crop) -> Detections:
-        """The prediction of the landmark network of December 2020 for a crop and its rendered pixels. World
-        landmarks are its keypoints at the size of an average hand."""
-        landmarks, presence, handedness = self._run(self._hand_2020, pixels)
-        keypoints, right = _with_depth(landmarks), float(handedness[0])
-        side = "right" if right >= 0.5 else "left"
-        hand = crop.to_picture(
-            Detections.hand(side, max(right, 1.0 - right), keypoints, average_sized(keypoints))
-        )
-        odds = float(presence[0]) / max(1.0 - float(presence[0]), 1e-9) * np.exp(-NETWORK.presence_bias_2020)
-        return replace(hand, keypoints_2020=hand.keypoints, certainty=np.array([odds / (1.0 + odds)]))
 
 
 def average_sized(keypoints: np.ndarray) -> np.ndarray:

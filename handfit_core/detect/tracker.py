@@ -133,7 +133,7 @@ class HandTracker:
     def _is_near(self, tracked: TrackedHand, others: Sequence[TrackedHand]) -> bool:
         """True if a hand touches another one, or crosses it."""
         rest = [other.last for other in others if other is not tracked]
-        return bool((distance(tracked.last, Detections.of([rest])) < IN_TURN.near).any())
+        return bool(rest) and bool((distance(tracked.last, Detections.of([rest])) < IN_TURN.near).any())
 
     def begin(self, hands: Iterable[Detections]) -> list[TrackedHand]:
         """Begin to follow those of these hands that are wanted and new; returns them."""
@@ -174,7 +174,7 @@ def redetect(
     """Predict a tracked hand where it is expected in the next frame, once more where it has moved away from
     there. None where it is lost. With a `time` in seconds, the network of December 2020 may see it alone."""
     expected, tracked.seen_alone = tracked.expected(), False
-    in_turn = time is not None and networks.quality == "standard" and networks.has_both
+    in_turn = time is not None and networks.take_turns
     crop = crop_around(expected)
     hand = networks.predict(rgb, crop, by_2020=in_turn)
     off = np.linalg.norm(hand.keypoints_2d[0] - expected, axis=-1).mean()

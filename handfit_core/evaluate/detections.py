@@ -1,8 +1,8 @@
-"""Detections of a data set's pictures, made once and kept by the pictures' content.
+"""Detections of a data set's pictures, cached by the pictures' content.
 
 All methods of an evaluation see the same detections, and a second evaluation, of other solvers or
-after an interruption, does not detect again. A kept detection is found by the bytes of the pictures,
-the detector's settings and model, and the detector's code: change one and it is made anew.
+after an interruption, does not detect again. A cached detection is found by the bytes of the pictures,
+the detector's settings and model, and the detector's code: change one and the hands are detected again.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from handfit_core.common.errors import InputError
 from handfit_core.detect.correction.network import FILE as NETWORK_FILE
 from handfit_core.detect.detector import DETECTORS, Detector
 from handfit_core.detect.keypoints import Detections
-from handfit_core.evaluate.kept import code_digest, kept, versions
+from handfit_core.evaluate.cache import cached, code_digest, versions
 from handfit_core.evaluate.labels import Entry, Unit
 from handfit_core.media.pictures import read_picture
 from handfit_core.media.source import Frame, Media, Source
@@ -32,21 +32,21 @@ UNREADABLE = (0, 0)
 
 @dataclass(frozen=True, eq=False)
 class UnitDetections:
-    """What was found in the T pictures of a unit."""
+    """The hands that were detected in the T pictures of a unit."""
 
     hands: Detections
-    """Of all pictures"""
+    """Hands of all pictures"""
     sizes: np.ndarray
     """(T, 2) int: width and height in pixels; UNREADABLE where the picture could not be read"""
 
     @property
     def readable(self) -> np.ndarray:
-        """(T,) bool"""
+        """(T,) True for pictures that could be read"""
         return np.asarray((self.sizes > 0).all(axis=-1))
 
 
 class UnitDetector:
-    """Finds the hands of units. Use as a context manager."""
+    """Detects the hands of units, or reads them from the cache. Use as a context manager."""
 
     def __init__(self, options: CaptureOptions) -> None:
         self._options = options
@@ -56,7 +56,7 @@ class UnitDetector:
             *(options.plain_detection, options.quality, versions("opencv-python-headless")),
             code_digest(detect, media, NETWORK_FILE),
         )
-        self._find = kept(_find, "detections", ignore=("unit", "detector", "on_picture"))
+        self._find = cached(_find, "detections", ignore=("unit", "detector", "on_picture"))
         self._stills: Detector | None = None
 
     def __enter__(self) -> UnitDetector:
@@ -67,7 +67,7 @@ class UnitDetector:
             self._stills.close()
 
     def detect(self, unit: Unit, on_picture: Callable[[], None]) -> UnitDetections:
-        """The hands in a unit's pictures, kept or fresh; calls `on_picture` once for each picture."""
+        """The hands in a unit's pictures, from the cache if possible; calls `on_picture` for each picture."""
         times = [entry.time for entry in unit.entries if unit.is_clip]
         key = joblib.hash((self._made_with, unit.is_clip, times, [_content(e.picture) for e in unit.entries]))
         if self._find.check_call_in_cache(key, unit, self, on_picture):
@@ -76,7 +76,7 @@ class UnitDetector:
         return self._find(key, unit, self, on_picture)
 
     def found_in(self, unit: Unit, on_picture: Callable[[], None]) -> UnitDetections:
-        """The hands in a unit's pictures, found now."""
+        """The hands in a unit's pictures, detected now."""
         if unit.is_clip:
             clip = _UnitMedia(unit, on_picture)
             hands = detect_frames(clip, self._options).hands
@@ -91,7 +91,7 @@ class UnitDetector:
 
 
 def _find(
-    key: str,  # noqa: ARG001 (what the result is kept by)
+    key: str,  # noqa: ARG001 (identifies the result in the cache)
     unit: Unit,
     detector: UnitDetector,
     on_picture: Callable[[], None],

@@ -1,4 +1,4 @@
-"""Running methods on tracks, in several processes if asked, with every result kept for a later run."""
+"""Running methods on tracks, in several processes if asked, with all results cached."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from handfit_core.common.arrays import arrays_of
 from handfit_core.detect import correction
 from handfit_core.detect.correction import network
 from handfit_core.evaluate import ProtocolName, methods
-from handfit_core.evaluate.kept import code_digest, kept, versions
+from handfit_core.evaluate.cache import cached, code_digest, versions
 from handfit_core.evaluate.methods import TrackResult, get_method
 from handfit_core.evaluate.rows import TrackInView
 from handfit_core.fit import doubt
 from handfit_core.hand_model import HandModel, anatomy, load_model
 
 Task = tuple[str, TrackInView]
-"""A method's name and what it is run on"""
+"""A method's name and the track that it is run on"""
 
 
 def fit_all(
     tasks: Sequence[Task], protocol: ProtocolName, model: str | None = None, jobs: int = 1
 ) -> Iterator[TrackResult]:
-    """Each task's result in turn: read from the cache where it is kept there, else made and kept.
+    """Each task's result in turn, from the cache if possible.
 
     A hand model is the bundled one or a file of someone's, as `load_model` takes it.
     """
     learnt = (anatomy.LANDMARKS_FILE, network.FILE, doubt.FILE)
     code = code_digest(fit, paper, correction, geometry, skeleton, methods, hand_model, *learnt)
     made_with = (protocol, versions("numpy", "scipy", "torch"), code)
-    run = joblib.delayed(kept(_fit, "fits", ignore=("task", "protocol", "model")))
+    run = joblib.delayed(cached(_fit, "fits", ignore=("task", "protocol", "model")))
     calls = (run((made_with, _key(task, model)), task, protocol, model) for task in tasks)
     # More threads than cores mostly wait for each other, and processes whose parent was killed shall end.
     with joblib.parallel_config("loky", inner_max_num_threads=1, idle_worker_timeout=20):
@@ -51,8 +51,8 @@ _model = cache(load_model)
 
 
 def _key(task: Task, model: str | None) -> object:
-    """What a task's result depends on besides the code. Models count by their content, and by what fits use
-    besides: a prior's relaxed pose, and the name, which limits go by."""
+    """A hash of everything but the code that decides a task's result. Models count by their content, their
+    relaxed pose, which a prior uses, and their name, which decides about joint limits."""
     name, (track, intrinsics) = task
     hand: HandModel = _model(model, track.side)
     arrays = {key: array.tobytes() for key, array in arrays_of(track.detections).items()}

@@ -1,4 +1,4 @@
-"""What a labelled data set holds, as every reader gives it: metres, camera frame, MediaPipe's order.
+"""The content of a labelled data set, as every reader gives it: metres, camera frame, MediaPipe's order.
 
 Readers list their entries at once and read labels one by one, when asked: some sets hold a hundred
 thousand pictures. A label that the set does not have, or marks as invalid, is NaN, never a guess.
@@ -59,19 +59,18 @@ class Entry:
     """Unique within the set, as in `Desk/00012`"""
     picture: Path
     read_labels: Callable[[], Labels]
-    """Whatever it raises is a problem of this entry alone"""
+    """An error that it raises is a problem of this entry alone"""
     clip: str | None = None
     """The clip it belongs to; None for a still. Entries of a clip stand together, in the order of time"""
     time: float = 0.0
     """seconds since the clip's start"""
     tags: Mapping[str, str] = field(default_factory=dict)
-    """What the set tells about the picture, as in {"pose": "fist", "occluder": "none"}; results are
-    grouped by it"""
+    """Properties of the picture by which results are grouped, as in {"pose": "fist", "occluder": "none"}"""
 
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """What is fitted in one go: a still, or a clip's pictures in the order of time."""
+    """A still, or a clip's pictures in the order of time, which are fitted together."""
 
     entries: tuple[Entry, ...]
     is_clip: bool
@@ -91,7 +90,7 @@ def units_of(entries: Sequence[Entry], *, clips: bool = True, every: int = 1) ->
 
 
 def said(error: Exception) -> str:
-    """An error in one line, for a problem."""
+    """The text of an error in one line, for a `Problem`."""
     if isinstance(error, HandfitError):
         return str(error)
     if isinstance(error, OSError):
@@ -102,7 +101,7 @@ def said(error: Exception) -> str:
 
 @dataclass(frozen=True)
 class Problem:
-    """What is wrong with some entries; such entries are counted and reported, never silently dropped."""
+    """A fault of some entries, which are counted and reported, never silently dropped."""
 
     kind: str
     """A few words, as in `picture missing`; problems of one kind are counted together"""
@@ -123,7 +122,7 @@ class Dataset:
     problems: tuple[Problem, ...] = ()
     """Found while listing: pictures without labels, labels without pictures, ..."""
     notes: tuple[str, ...] = ()
-    """What a reader of the results should know about the labels"""
+    """Sentences about the labels, for the report"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,11 +132,11 @@ class Reader:
     layout: str
     """For messages, as in `RHD's layout: training/color/00000.png ..., ...`"""
     recognises: Callable[[Path], bool]
-    """Whether a folder has any part of this layout, so that what it lacks can be named"""
+    """True if a folder has any part of this layout, even if other parts are missing"""
     read: Callable[..., Dataset]
     """(root, **what can be chosen) -> everything that is there, with labels that are read when asked for.
     Raises DatasetError, OptionError"""
     has_splits: bool = False
-    """Whether `read` takes `split`: a name, or None for the part that is evaluated by default"""
+    """True if `read` takes `split`: a name, or None for the part that is evaluated by default"""
     has_label_variants: bool = False
-    """Whether `read` takes `labels` and `published_frame` (`open_dataset` says what they mean)"""
+    """True if `read` takes `labels` and `published_frame`, which `open_dataset` explains"""

@@ -1,4 +1,4 @@
-"""What can be evaluated: the raw detector, and every solver. Each turns a detected track into 3D hands.
+"""The methods that can be evaluated: the raw detector and every solver turn a detected track into 3D hands.
 
 The detector gives two sets of landmarks: image landmarks are pixels with a depth on the scale of x, world
 landmarks are metres. Their errors differ, so that both together (`fused`) beat either. A fit must beat them.
@@ -153,7 +153,7 @@ def _seen_from_afar(points: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
 
 
 _RAW: Final = {"raw-image": image_landmarks, "raw-world": world_landmarks, "fused": fused_landmarks}
-"""What the detector alone says"""
+"""The landmarks of the detector, without a fit"""
 
 _GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "raw": ("raw-image", "raw-world"),

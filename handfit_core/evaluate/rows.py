@@ -85,7 +85,7 @@ def rows_of(units: Sequence[Unit], detect: ReadUnit, *, protocol: ProtocolName, 
 
 
 def _camera(frames: Sequence[Frame], seen: UnitDetections, camera: str, found: Rows) -> Intrinsics:
-    """What solvers are told of a unit's camera."""
+    """The camera through which a unit is fitted."""
     first, entry, labels = frames[0]
     if camera == "labelled" and labels.intrinsics:
         changed = [e.name for _, e, one in frames if one.intrinsics != labels.intrinsics]

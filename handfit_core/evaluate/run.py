@@ -16,10 +16,10 @@ from handfit_core.common.skeleton import Side
 from handfit_core.common.version import __version__
 from handfit_core.detect.keypoints import Detections
 from handfit_core.evaluate import CameraChoice, ProtocolName
+from handfit_core.evaluate.cache import versions
 from handfit_core.evaluate.detections import UnitDetections, UnitDetector
 from handfit_core.evaluate.fits import fit_all
 from handfit_core.evaluate.flat import Flat, flattened
-from handfit_core.evaluate.kept import versions
 from handfit_core.evaluate.labels import Dataset, Problem, Unit, units_of
 from handfit_core.evaluate.methods import TrackResult, method_names
 from handfit_core.evaluate.rows import Rows, rows_of
@@ -36,13 +36,13 @@ COMPARED_METRICS: dict[ProtocolName, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class EvaluationOptions:
-    """What to evaluate, and how."""
+    """The methods to evaluate, and settings."""
 
     methods: tuple[str, ...]
     """Names or groups, see `methods.method_names`"""
     protocol: ProtocolName = "strict"
     camera: CameraChoice = "assumed"
-    """What solvers are told about the camera: nothing, or the data set's labels"""
+    """The camera that solvers get: a guess, or the data set's labels"""
     every: int = 1
     """Use every n-th still and every n-th clip"""
     clips: bool = True

@@ -1,4 +1,4 @@
-"""The numbers that an evaluation yields, before they become tables and pictures."""
+"""The numbers that an evaluation yields, before they become tables."""
 
 from __future__ import annotations
 
@@ -34,14 +34,9 @@ class Scores:
     """(N, 21, 3) metres, camera frame"""
     points_3d: np.ndarray
     """(N, 21, 3) metres, camera frame, before any alignment"""
-    epe: np.ndarray
-    """(N, 21) mm, after moving the centroid of the scored points to the truth's (the paper's alignment)"""
-    root_error: np.ndarray
-    """(N, 21) mm, after moving the wrist to the truth's"""
-    pa_error: np.ndarray
-    """(N, 21) mm, after the best similarity transform (Procrustes)"""
-    error_2d: np.ndarray
-    """(N, 21) pixels over the hand's size in pixels (longer side of its labelled points' box)"""
+    errors: Mapping[str, np.ndarray]
+    """(N, 21) of each point, by the metric whose mean over points they have: `epe`, `mpjpe` and `pa_mpjpe` in
+    mm, `error_2d` in pixels over the hand's size in pixels; `metrics` has their alignments"""
 
     @property
     def detected(self) -> np.ndarray:
@@ -64,7 +59,7 @@ class Comparison(NamedTuple):
     """97.5 % end"""
     hands: int
     units: int
-    """What was resampled: stills one by one, clips as wholes (frames of one clip are not independent)"""
+    """Number of stills and clips. A clip is resampled as a whole: its frames are not independent"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,4 +86,4 @@ class Evaluation:
     notes: tuple[str, ...]
     """Sentences: what the set's labels mean, what the protocol does, which camera was assumed"""
     setup: Mapping[str, str]
-    """What it was run with: versions, model, detector, settings, machine"""
+    """Versions, model, detector, settings and machine, by name"""

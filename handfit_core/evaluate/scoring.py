@@ -65,7 +65,7 @@ def score(
         hands = hands.assign(side_correct=np.nan)
     points = np.where(detected[:, None, None], found.points_3d, np.nan)
     nothing = np.full((len(hands), NUM_KEYPOINTS), np.nan)
-    errors = {name: nothing.copy() for name in ("epe", "root_error", "pa_error", "error_2d")}
+    errors = {name: nothing.copy() for name in ("epe", "mpjpe", "pa_mpjpe", "error_2d")}
     surfaces = pd.DataFrame(np.nan, hands.index, ["pa_mpvpe", "f5"])
     if protocol == "paper":
         for i in np.flatnonzero(detected):
@@ -77,8 +77,8 @@ def score(
         points_2d = np.where(detected[:, None, None], found.picture_points[..., :2], np.nan)
         errors = {
             "epe": centroid_aligned_distances(MM * points, truth),
-            "root_error": root_aligned_distances(MM * points, truth),
-            "pa_error": similarity_aligned_distances(MM * points, truth),
+            "mpjpe": root_aligned_distances(MM * points, truth),
+            "pa_mpjpe": similarity_aligned_distances(MM * points, truth),
             "error_2d": distances_2d(points_2d, labels_2d),
         }
         surfaces = _surfaces(rows, found, models or {}, {} if problems is None else problems)
@@ -93,7 +93,7 @@ def score(
         ).join(surfaces),
         labels_3d=rows.labels_3d,
         points_3d=points,
-        **errors,
+        errors=errors,
     )
 
 

@@ -26,14 +26,14 @@ from handfit_core.fit.doubt import DOUBT
 
 
 class Metric(NamedTuple):
-    """What a number in a table is."""
+    """A column of the tables."""
 
     title: str
     """With the unit; without one for a share of 0..1"""
     digits: int
     """Shown behind the point"""
     alignment: str
-    """In words: what was made to meet before measuring, and what the mean is over"""
+    """The alignment before measuring and what the mean is over, in words"""
 
 
 METRICS: Final[dict[str, Metric]] = {
@@ -58,20 +58,18 @@ METRICS: Final[dict[str, Metric]] = {
 }
 """Every metric of the strict protocol, in the order of display. The paper's has the three of `_paper`."""
 
-_HAND_ERRORS = {"epe": "epe", "mpjpe": "root_error", "pa_mpjpe": "pa_error", "error_2d": "error_2d"}
-HAND_METRICS: Final = (*_HAND_ERRORS, "pa_mpvpe")
-"""The metrics that every hand has a value of its own of, for `hand_means` and `compare`"""
+HAND_METRICS: Final = ("epe", "mpjpe", "pa_mpjpe", "error_2d", "pa_mpvpe")
+"""The metrics that each hand has a value of, for `hand_means` and `compare`"""
 
 
 def hand_means(scores: Scores, metric: str) -> np.ndarray:
     """(N,) each hand's mean of one of `HAND_METRICS` over its points, in the unit that METRICS tells.
 
-    NaN for misses, and where labels are missing; EPE also where only one point is labelled.
+    NaN for misses, and where labels are missing.
     """
     if metric == "pa_mpvpe":
         return scores.hands["pa_mpvpe"].to_numpy()
-    errors = _counted_epe(scores) if metric == "epe" else getattr(scores, _HAND_ERRORS[metric])
-    means = mean_of_labelled(errors, axis=1)
+    means = mean_of_labelled(scores.errors[metric], axis=1)
     return 100.0 * means if metric == "error_2d" else means
 
 
@@ -117,14 +115,14 @@ def paper_means(epe_rows: np.ndarray) -> tuple[float, float]:
 
 
 def _paper(scores: Scores) -> dict[str, float]:
-    tips = np.where(scores.detected[:, None], scores.epe, np.nan)[:, list(TIP_KEYPOINTS)]
+    tips = np.where(scores.detected[:, None], scores.errors["epe"], np.nan)[:, list(TIP_KEYPOINTS)]
     mean, area = paper_means(tips)
     return {"detection_rate": float(100.0 * scores.hands["detected"].mean()), "epe": mean, "auc": area}
 
 
 def _strict(scores: Scores) -> dict[str, float]:
     hands, means = scores.hands, pd.DataFrame({key: hand_means(scores, key) for key in HAND_METRICS})
-    depths, epe = hands["penetration"].dropna(), _counted_epe(scores)
+    depths, epe = hands["penetration"].dropna(), scores.errors["epe"]
     labelled = labelled_points(scores.labels_3d)
     scored = labelled.sum(axis=1) >= 2
     values = {
@@ -134,7 +132,7 @@ def _strict(scores: Scores) -> dict[str, float]:
         "epe": mean_of_labelled(epe),
         "auc": _auc(epe, labelled[~scores.detected & scored]),
         "auc_root": _auc(
-            scores.root_error, labelled[~scores.detected & scored & labelled[:, WRIST_KEYPOINT]]
+            scores.errors["mpjpe"], labelled[~scores.detected & scored & labelled[:, WRIST_KEYPOINT]]
         ),
         "pa_mpjpe_median": means["pa_mpjpe"].dropna().median(),
         "f5": hands["f5"].mean(),
@@ -153,7 +151,7 @@ def _auc(errors: np.ndarray, missed: np.ndarray) -> float:
 
 
 def _doubt(expected: pd.Series, errors: pd.Series) -> dict[str, float]:
-    """How well expected errors (N,) tell of true ones, both in mm; hands without either are left out."""
+    """How well expected errors (N,) predict true ones, both in mm; hands without either are left out."""
     known = expected.notna() & errors.notna()
     wrong, doubted = errors > 1000.0 * DOUBT.wrong_error, 100.0 * (expected > 1000.0 * DOUBT.doubtful_error)
     return {
@@ -161,12 +159,6 @@ def _doubt(expected: pd.Series, errors: pd.Series) -> dict[str, float]:
         "doubted_wrong": doubted[known & wrong].mean(),
         "doubted_right": doubted[known & ~wrong].mean(),
     }
-
-
-def _counted_epe(scores: Scores) -> np.ndarray:
-    """(N, 21) EPE without hands of a single scored point, which are 0 by construction."""
-    enough = (~np.isnan(scores.epe)).sum(axis=1) >= 2
-    return np.where(enough[:, None], scores.epe, np.nan)
 
 
 def _jitter(scores: Scores) -> float:

@@ -1,4 +1,4 @@
-"""How well two cameras are found from the hands that they film, and what that gains.
+"""Accuracy of the cameras that are found from the hands in two views, and of hands that are fitted with them.
 
 A folder, or each of its folders, has `gt.json`: a list of clips, each an object with `clip`, `side`, `fps`,
 `offset` (seconds from the first view's start to the second one's), `K_a`, `K_b` (3, 3), `R` (3, 3), `t` (3,)
@@ -37,7 +37,7 @@ from handfit_core.take import Take
 
 KIND: Final = "two-cameras"
 TOLD: Final = ("nothing", "lenses", "cameras")
-"""What is told of both cameras: nothing, their lenses, or where they stand as well"""
+"""What a capture is given: clips alone, the cameras' lenses, or their lenses and places"""
 TRUTH: Final = "gt.json"
 _KEYS: Final = {"clip", "side", "fps", "offset", "K_a", "K_b", "R", "t", "joints3d"}
 _ALIGNMENTS: Final = {
@@ -59,7 +59,7 @@ class FilmedClip:
 
 
 def is_two_cameras(folder: Path) -> bool:
-    """Whether a folder has clips of two cameras, or folders that have."""
+    """True if a folder, or a folder in it, has clips of two cameras."""
     return bool(_truths(folder))
 
 

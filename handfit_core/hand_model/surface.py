@@ -145,13 +145,21 @@ class Surface:
 
     def near(self, capsules: Capsules, within: float = 0.0) -> Near:
         """The pairs whose skins are no farther apart than `within` metres, with gaps beyond `rest_gap`."""
-        ends, radii = capsules.ends, capsules.radii
+        ends, thick = capsules.ends, capsules.radii.max(axis=-1)
         axis = (ends[:, :, 1] - ends[:, :, 0]) / 2.0
         middle = ends[:, :, 0] + axis
-        reach = np.sqrt((axis * axis).sum(axis=-1)) + np.maximum(radii[..., 0], radii[..., 1]) + within / 2.0
+        reach = np.sqrt((axis * axis).sum(axis=-1)) + thick + within / 2.0
         first, second = PAIRS.T
         apart = middle[:, first] - middle[:, second]
-        hand, pair = np.nonzero((apart * apart).sum(axis=-1) < np.square(reach[:, first] + reach[:, second]))
+        square = (apart * apart).sum(axis=-1)
+        hand, pair = np.nonzero(square < np.square(reach[:, first] + reach[:, second]))
+        # The gap along the line through their middles is no larger than the nearest one.
+        distance, both = np.sqrt(square[hand, pair]), PAIRS[pair]
+        towards = apart[hand, pair] / np.maximum(distance, 1e-9)[:, None]
+        along = np.abs(axis[hand[:, None], both] @ towards[..., None])[..., 0]
+        least = distance - (along + thick[hand[:, None], both]).sum(axis=1)
+        close = least < within + capsules.rest_gap[hand, pair] + 1e-9
+        hand, pair = hand[close], pair[close]
         near = self.gaps(capsules, hand, pair)
         return near.select(near.gap < within)
 

@@ -51,15 +51,22 @@ BODY.update(
 )
 
 _PARTS: Final = ("Proximal", "Intermediate", "Distal")
-_THUMB_PARTS: Final = ("Metacarpal", "Proximal", "Distal")
 
 
 def bone_names(side: Side) -> tuple[str, ...]:
     """VRM 1.0's names of a hand's 16 bones, by MANO's joints."""
+    return _named(side, ("Metacarpal", "Proximal", "Distal"))
+
+
+def unity_names(side: Side) -> tuple[str, ...]:
+    """The names in Unity's HumanBodyBones of a hand's 16 bones, by MANO's joints."""
+    return _named(side.title(), _PARTS)
+
+
+def _named(side: str, thumb: Sequence[str]) -> tuple[str, ...]:
     names = [f"{side}Hand"] * NUM_JOINTS
     for finger, joints in FINGER_JOINTS.items():
-        parts = _THUMB_PARTS if finger == "thumb" else _PARTS
-        for joint, part in zip(joints, parts, strict=True):
+        for joint, part in zip(joints, thumb if finger == "thumb" else _PARTS, strict=True):
             names[joint] = f"{side}{finger.title()}{part}"
     return tuple(names)
 

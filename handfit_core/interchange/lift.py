@@ -117,20 +117,20 @@ def lifted(hands: SeenHands) -> Detections:
     than of the hand's others. Expected errors are the landmark network's, as those of
     any detection: it is asked when hands are fitted, and again when a take's are.
     """
-    sure = known(hands.keypoints)
-    guess = lifter()(hands.keypoints, hands.confidence, hands.left)
-    pixels = np.where(sure[..., None], hands.keypoints, guess[..., :2])
+    seen, depth = hands.keypoints, hands.points[..., 2]
+    sure = known(seen)
+    guess = lifter()(seen, hands.confidence, hands.side == SIDES.index("left"))
+    pixels = np.where(sure[..., None], seen, guess[..., :2])
     points = np.concatenate([pixels, guess[..., 2:] - guess[:, :1, 2:]], axis=2)
     world = points - points.mean(axis=1, keepdims=True)
     bones = np.linalg.norm(world[:, 1:] - world[:, KEYPOINT_PARENTS[1:]], axis=2).mean(axis=1)
     # Metres: mean length of the 20 bones of the open hand of average shape
     world *= 0.0416 / np.maximum(bones, 1e-9)[:, None, None]
-    if hands.depth is not None:
-        points[..., 2] = np.where(np.isfinite(hands.depth), hands.depth, points[..., 2])
-    if hands.world is not None:
-        world = np.where(np.isfinite(hands.world).all(axis=(1, 2), keepdims=True), hands.world, world)
+    points[..., 2] = np.where(np.isfinite(depth), depth, points[..., 2])
+    world = np.where(np.isfinite(hands.world).all(axis=(1, 2), keepdims=True), hands.world, world)
     usual = np.nanmedian(np.where(sure, hands.confidence, np.nan), axis=1, keepdims=True)
     # Points of less than half the median confidence are believed less. Programs' scales differ.
     doubted = ~sure | (hands.confidence < 0.5 * usual)
-    side = np.where(hands.left, SIDES.index("left"), SIDES.index("right"))
-    return Detections(hands.row, side, hands.score, points, world, overlapped=doubted, given_side=side)
+    return Detections(
+        hands.row, hands.side, hands.score, points, world, overlapped=doubted, given_side=hands.side
+    )

@@ -170,11 +170,6 @@ class FoundHands(Batch):
     transl: np.ndarray = array("N", 3)
     """metres; infinite where the file does not tell it"""
 
-    def at(self, there: np.ndarray) -> FoundHands:
-        """The hands, of which only those `there` (N,) bool have a pose."""
-        names = "betas", "global_orient", "hand_pose", "transl"
-        return replace(self, **{n: np.where(there[:, None], getattr(self, n), np.nan) for n in names})
-
     def mirrored(self, *, places: bool) -> FoundHands:
         """The hands with left ones that were right ones of a mirror at x = 0, which takes `places` along."""
         left = (self.side == SIDES.index("left"))[:, None]

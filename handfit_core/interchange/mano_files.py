@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -17,6 +17,7 @@ from handfit_core.common.files import shown
 from handfit_core.common.skeleton import NUM_BETAS, SIDES, Side
 from handfit_core.common.values import Unfit
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.motion import POSE_ARRAYS
 from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.mano import POSE, FoundHands, tell
@@ -29,8 +30,8 @@ _SUFFIXES: Final = (".npz", ".json", ".npy", ".pkl", ".pt", ".pth")
 _NUMBERS: Final = re.compile(r"(?<!\d)\d{1,18}(?!\d)")
 _MOST_DIGITS: Final = 2
 """of a hand's number in a file's name; longer ones are frames'"""
-_LOOKED_AT: Final = 2000
-"""Dictionaries of a file in which a hand is looked for before it is said that it has none"""
+_LOOKED_AT: Final = 20_000
+"""Values of a file among which a hand is looked for before it is said that it has none"""
 _WORLDS: Final = {**UP_AXES, "OpenGL": np.diag([1.0, -1.0, -1.0])}
 
 
@@ -43,8 +44,8 @@ class ManoLayout:
     keys: str
     """What has which name in a file, as in "betas right=right|is_right": of `global_orient`, `hand_pose`,
     `transl`, `betas`, `right` (1 and 0), `frame`, `time` (nanoseconds), `present`, `fps`, `focal`, `size`,
-    `intrinsics` (fx, fy, cx, cy, or a matrix), `cam_R`, `cam_t`; with `body_pose`, `global_orient` is a
-    body's. `SIDE` stands for left and right"""
+    `intrinsics` (fx, fy, cx, cy, or a matrix), `cam_R`, `cam_t`, `model`; with `body_pose`, `global_orient`
+    is a body's. `SIDE` stands for left and right"""
     needs: str = "global_orient hand_pose transl"
     """Which of them a file of this layout must have; `a|b`: one of the two"""
     met: str = ""
@@ -72,18 +73,15 @@ class ManoLayout:
     directions: bool = False
     """Whether poses are coefficients of MANO's principal directions, even if there are 45"""
     counted: mano.Counted = "flat"
-    mean_where: tuple[str, str] = ("", "")
-    """A name and what stands under it where poses count from the mean"""
+    mean_model: str = ""
+    """The `model` with which poses count from the mean"""
     mirrored: Literal["no", "hands", "world"] = "no"
     """Whether left hands are right ones in a mirror, which takes their places along or not"""
     world: str = ""
     """The frame that hands are in, one of _WORLDS; empty: the camera's"""
-    camera: Literal["", "intrinsics", "focal"] = ""
     first_frame: int = 0
     """What is added to the frames' numbers"""
     assumed: tuple[str, ...] = ()
-    left_assumed: str = ""
-    """What is assumed where there is a left hand"""
     mirrored_by: str = ""
     """What to do, or to think, where left hands bend as if mirrored"""
 
@@ -95,8 +93,14 @@ class ManoLayout:
 
     @cached_property
     def wanted(self) -> dict[str, str]:
-        """Which value a name in a file has, the ones that count after the others."""
-        return {name: what for what, names in self.names.items() for name in reversed(names)}
+        """Which value a name in a file has, the ones that count after the others; its own, if it has columns
+        of several."""
+        told = {name: what for what, names in self.names.items() for name in reversed(names)}
+        return told | {key: key for key in self.columns}
+
+    def plain(self, name: str) -> str:
+        """A name without that of a dictionary within, as in `mano.betas`."""
+        return re.sub(rf"^({'|'.join(self.nested.split()) or '(?!)'})[._/](?=\w+$)", "", name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,41 +123,35 @@ class _Part:
         return mano.numbers(*self.values[what], *shape) if what in self else None
 
     def rotations(self, what: str, joints: int, count: int | None = None) -> np.ndarray:
-        if what not in self:
-            raise Unfit(f"{self.layout.names[what][0]} is missing")
         return mano.rotations(*self.values[what], joints, count)
 
     @property
     def is_hands(self) -> bool:
         """Whether all is there that the layout needs, for one side at least."""
+        columns = [widths for key, widths in self.layout.columns.items() if key in self]
+        told = {*self.values, *(what for each in columns for parts in each.values() for what in parts)}
         needs = [self.layout.needs.replace("SIDE", side).split() for side in SIDES if self.values]
-        return any(all(any(each in self for each in what.split("|")) for what in of) for of in needs)
+        return any(all(told & {*what.split("|")} for what in of) for of in needs)
 
-    def under(self, key: str) -> _Part:
-        """What stands under a key, or in a file or folder of that name."""
-        if key in self.layout.sides:
-            return replace(self, fixed={**self.fixed, "side": SIDES.index(self.layout.sides[key])})
-        return replace(self, name=f"{self.name}/{key}".strip("/")) if _NUMBERS.search(key) else self
-
-    def having(self, names: Iterable[Any], value: Callable[[Any], Any]) -> _Part:
-        """With those values of a dictionary that are wanted."""
-        layout, flat = self.layout, dict[str, Any]()
-        nested = layout.nested.split()
-        begins = tuple(each + sign for each in nested for sign in "._/")
-        for name in names:
-            key = str(name)
-            if key.startswith(begins) and key not in nested:
-                key = key[len(next(each for each in begins if key.startswith(each))) :]
-            if key in layout.wanted or key in layout.columns:
-                flat[key] = value(name)
-            elif key in nested and isinstance(inside := value(name), dict):
-                flat |= {str(k): v for k, v in inside.items() if str(k) in layout.wanted}
-        values = {w: (k, flat[k]) for k, w in layout.wanted.items() if k in flat and not _holds(flat[k])}
-        for key, widths in layout.columns.items():
-            columns = flat.get(key)
-            if columns is not None and (key or np.shape(columns)[-1:] in [(width,) for width in widths]):
-                values |= {what: (key, columns) for parts in widths.values() for what in parts}
-        return replace(self, values={**self.values, **values}) if values else self
+    def within(self, steps: Sequence[str | int], held: Mapping[str, Any]) -> _Part:
+        """What stands in a file, where the keys, names and places of lists lead to, with the values of `held`
+        that are wanted."""
+        layout, values = self.layout, dict(self.values)
+        for name, what in layout.wanted.items():
+            widths = [(width,) for width in layout.columns.get(name, ())]
+            if name in held and (name or np.shape(held[name])[-1:] in widths):
+                values[what] = name, held[name]
+        rows = [step for step in (steps if layout.rows == "sides" else steps[:-1]) if isinstance(step, int)]
+        keys = [step for step in steps if isinstance(step, str)]
+        sides = [SIDES.index(layout.sides[key]) for key in keys if key in layout.sides]
+        names = [key for key in (self.name, *keys) if _NUMBERS.search(key) and key not in layout.sides]
+        return replace(
+            self,
+            values=values,
+            row=rows[-1] if rows else None,
+            name="/".join(names),
+            fixed={**self.fixed, "side": sides[-1]} if sides else self.fixed,
+        )
 
     def unpacked(self) -> _Part:
         """With lists as arrays, and the columns of arrays apart. Raises Unfit."""
@@ -161,72 +159,73 @@ class _Part:
         for what, (name, value) in self.values.items():
             with suppress(TypeError, ValueError), np.errstate(invalid="ignore"):
                 values[what] = name, np.asarray(value, dtype=np.float64)
-        for name, what in [(of[0], what) for what, of in values.items() if of[0] in self.layout.columns]:
-            widths, array = self.layout.columns[name], np.asarray(values[what][1], dtype=np.float64)
-            array = array.reshape(len(array), -1) if array.ndim > 2 else np.atleast_2d(array)
-            if array.shape[-1] not in widths or not array.size:
-                found, known = "x".join(map(str, array.shape)), " or ".join(map(str, widths))
-                raise Unfit(
-                    f"{name} must have {known} numbers a frame, and is {found}; without hands it has fewer"
-                )
-            values[what] = name, array[:, widths[array.shape[-1]][what]]
+        for key, widths in self.layout.columns.items():
+            if key in self:
+                array = np.asarray(values[key][1], dtype=np.float64)
+                array = array.reshape(len(array), -1) if array.ndim > 2 else np.atleast_2d(array)
+                if array.shape[-1] not in widths or not array.size:
+                    found, known = "x".join(map(str, array.shape)), " or ".join(map(str, widths))
+                    raise Unfit(
+                        f"{key} must have {known} numbers a frame, and is {found}; without hands it has fewer"
+                    )
+                values |= {w: (key, array[:, part]) for w, part in widths[array.shape[-1]].items()}
         return replace(self, values=values)
 
 
-def _holds(value: Any) -> bool:
-    """Whether a value is nothing, or a dictionary or a list that may have some, rather than of numbers."""
-    while isinstance(value, list) and value:
-        value = value[0]
-    return value is None or isinstance(value, dict | list)
-
-
-def _walk(held: Any, part: _Part, row: int | None = None) -> Iterator[_Part]:
-    """The dictionaries in what a file holds, each with what stands around it, down to those of hands."""
-    layout = part.layout
-    if isinstance(held, list) and layout.listed and len(held) == len(layout.listed.split()):
-        held = dict(zip(layout.listed.split(), held, strict=True))
-    if isinstance(held, np.ndarray) or ("" in layout.columns and isinstance(held, list) and not _holds(held)):
-        held = {"": held}
-    inner = part if row is None else replace(part, row=row)
+def _values(held: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
+    """What is in dictionaries and lists, with the keys and the places, from 1, that lead to it; a list of
+    numbers is one value."""
+    first = held
+    while isinstance(first, list) and first:
+        first = first[0]
     if isinstance(held, dict):
-        mine = (inner if layout.rows == "sides" else part).having(held, held.get)
-        yield mine
-        if not mine.is_hands:
-            inner = inner if mine.values is part.values else replace(inner, values=mine.values)
-            for key, value in held.items():
-                if isinstance(value, dict | list) and _holds(value):
-                    yield from _walk(value, inner.under(str(key)))
-    elif isinstance(held, list) and _holds(held):
-        for number, each in enumerate(held, 1):
-            yield from _walk(each, inner, number)
+        for key, value in held.items():
+            yield from _values(value, (*path, str(key)))
+    elif isinstance(first, dict | list) or (first is None and held is not None):
+        for place, value in enumerate(held, 1):
+            yield from _values(value, (*path, place))
+    elif held is not None:
+        yield path, held
 
 
-def _in_file(document: Document, part: _Part) -> Iterator[_Part]:
-    if document.npz is None:
-        held = document.held
-        held = document.lines if held is None else held
-        yield from _walk(document.npy if held is None else held, part)
-        return
-    mine = part.having(document.names, document.value)
-    yield mine
-    for name in () if mine.is_hands else sorted(set(document.names) & set(part.layout.sides)):
-        yield from _walk(document.value(name), mine.under(name))
+def _in_file(document: Document, part: _Part, most: int | None) -> Iterator[_Part]:
+    """The hands among the first `most` values of a file, each with what stands around it."""
+    layout, nested = part.layout, part.layout.nested.split()
+    held = document.lines if document.held is None else document.held
+    if document.npz is not None:
+        known = {*layout.wanted, *layout.sides, *nested}
+        held = {name: document.value(name) for name in document.names if layout.plain(name) in known}
+    held = document.npy if held is None else held
+    if isinstance(held, list) and len(held) == len(layout.listed.split()):
+        held = dict(zip(layout.listed.split(), held, strict=True))
+    found: dict[tuple[str | int, ...], dict[str, Any]] = {}
+    for path, value in islice(_values(held), most):
+        *where, key = [step for step in path if step not in nested] or [""]
+        found.setdefault(tuple(where), {})[layout.plain(str(key))] = value
+    poses = {name for name, what in layout.wanted.items() if what.endswith("hand_pose")} | {*layout.columns}
+    for where in [where for where, values in found.items() if poses & values.keys()]:
+        around = {}
+        for depth in range(len(where) + 1):
+            around |= found.get(where[:depth], {})
+        if (hands := part.within(where, around)).is_hands:
+            yield hands
 
 
-def _parts(layout: ManoLayout, document: Document) -> Iterator[_Part]:
-    """The dictionaries in a file, or in the files of a folder. Raises Unfit."""
+def _parts(layout: ManoLayout, document: Document, most: int | None = None) -> Iterator[_Part]:
+    """The hands among the first `most` values of a file, or of each file of a folder. Raises Unfit."""
     if not document.is_folder:
-        yield from _in_file(document, _Part(layout))
+        yield from _in_file(document, _Part(layout), most)
         return
     folder = document.path / layout.folder
     folder = folder if layout.folder and folder.is_dir() else document.path
-    for within in [side for side in layout.sides if layout.files and (folder / side).is_dir()] or [""]:
-        for path in Document(folder / within).files(*_SUFFIXES) if layout.files else ():
+    for side in [side for side in layout.sides if layout.files and (folder / side).is_dir()] or [""]:
+        for path in Document(folder / side).files(*_SUFFIXES) if layout.files else ():
             if (match := re.fullmatch(layout.files, path.stem)) is None:
                 continue
             fixed = {key: int(text) for key, text in match.groupdict().items()}
-            part, file = _Part(layout, fixed=fixed).under(within), Document(path)
-            found = [p for p in _in_file(file, part if fixed else part.under(path.stem)) if p.is_hands]
+            part, file = _Part(layout, fixed=fixed), Document(path)
+            part = part.within([side] if fixed else [side, path.stem], {})
+            found = [*_in_file(file, part, most)]
             if fixed and not found:
                 raise Unfit(f"{path.name} must hold hands, or a body with hands, and is {file.found}")
             yield from found
@@ -234,8 +233,7 @@ def _parts(layout: ManoLayout, document: Document) -> Iterator[_Part]:
 
 def _recognises(layout: ManoLayout, document: Document) -> bool:
     try:
-        parts = islice(_parts(layout, document), _LOOKED_AT)
-        first = next((part for part in parts if part.is_hands), None)
+        first = next(_parts(layout, document, _LOOKED_AT), None)
         shape = np.shape(first.values["hand_pose"][1]) if first and layout.matrices else (15, 3, 3)
     except (Unfit, ValueError, TypeError):
         return False
@@ -296,8 +294,9 @@ def _hands(part: _Part, asked: ReadOptions, path: Path, assumed: list[str]) -> F
         if len(rows) != count:
             raise Unfit(f"{name} tells of {len(rows)} frames whether there is a hand, and there are {count}")
         there &= rows > 0.0
-    # Nothing but zeros is the place of a hand that was not there.
-    found = found if there.all() else found.at(there)
+    if not there.all():  # Nothing but zeros is the place of a hand that was not there.
+        gone = {n: np.where(there[:, None], getattr(found, n), np.nan) for n in ("betas", *POSE_ARRAYS)}
+        found = replace(found, **gone)
     return found if layout.mirrored == "no" else found.mirrored(places=layout.mirrored == "world")
 
 
@@ -376,6 +375,8 @@ def _before_camera(part: _Part, hands: FoundHands, asked: ReadOptions, assumed: 
 def _by_names(names: Collection[str], assumed: list[str]) -> dict[str, int]:
     """The frames that files or keys are of, by their last numbers, or by those before them where the last
     ones count the hands of a picture. Raises Unfit for names of several clips."""
+    if not names:
+        return {}
     found = {name: [*_NUMBERS.finditer(name)] for name in names}
     counting = [len(each) > 1 and len(each[-1][0]) <= _MOST_DIGITS for each in found.values()]
     around = {(name[: each[-1].start()], name[each[-1].end() :]) for name, each in found.items()}
@@ -415,9 +416,8 @@ def _by_time(parts: Sequence[_Part]) -> tuple[float, list[_Part]]:
 
 def _read(name: str, layout: ManoLayout, document: Document, asked: ReadOptions) -> Recording:
     assumed = list(layout.assumed)
-    found: list[FoundHands] = []
-    named: dict[str, list[FoundHands]] = {}
-    parts = [part.unpacked() for part in _parts(layout, document) if part.is_hands]
+    found: list[tuple[str, FoundHands]] = []
+    parts = [part.unpacked() for part in _parts(layout, document)]
     if not parts:
         raise Unfit(f"there is no hand in {document.found}")
     rate, parts = _by_time(parts) if "time" in parts[0] else (0.0, parts)
@@ -426,17 +426,17 @@ def _read(name: str, layout: ManoLayout, document: Document, asked: ReadOptions)
             hands = _hands(one, asked, document.path, assumed)
             hands = _before_camera(one, hands, asked, assumed) if turn is None else hands.turned(turn)
             counted = "frame" in part or "frame" in part.fixed or (layout.rows != "hands" and len(hands) > 1)
-            (found if counted or not part.name else named.setdefault(part.name, [])).append(hands)
-        LIMITS.check(document.path, 1, sum(map(len, found)))
-    numbers = _by_names(named, assumed) if named else {}
-    found += [replace(h, frame=np.full(len(h), numbers[key])) for key, each in named.items() for h in each]
-    hands = FoundHands.concatenate(found)
-    del found
+            found.append(("" if counted else part.name, hands))
+        LIMITS.check(document.path, 1, sum(len(hands) for _, hands in found))
+    numbers = _by_names({name for name, _ in found if name}, assumed)
+    hands = FoundHands.concatenate(
+        [replace(h, frame=np.full(len(h), numbers[name])) if name else h for name, h in found]
+    )
     body = "body_pose" in parts[0]
     if body and layout.columns and not np.any(np.nan_to_num(hands.hand_pose)):
         raise Unfit("the fingers of this body never move: it has none")
-    where, what = layout.mean_where
-    counted = "mean" if where and str(document.value(where)) == what else layout.counted
+    model = str(parts[0].values.get("model", ("", ""))[1])
+    counted = "mean" if model and model == layout.mean_model else layout.counted
     hands = replace(hands.from_flat(asked, counted), frame=hands.frame + layout.first_frame)
     if layout.world:
         if layout.world in UP_AXES:
@@ -456,7 +456,6 @@ def _read(name: str, layout: ManoLayout, document: Document, asked: ReadOptions)
             "the fingers never move: this body was captured without its hands",
         ),
         (place and hands.nowhere, f"where the hands are is not told ({place}): each stays in its place"),
-        (layout.left_assumed and any(hand.side == "left" for hand in posed), layout.left_assumed),
         (persons, "persons are told apart by the number in the files' names, which may change places"),
     ):
         if there:
@@ -485,7 +484,7 @@ def _camera(
         return np.concatenate(rows or [np.empty((0, *shape))])
 
     sizes = [(int(width), int(height)) for width, height in told("size", 2)[:1]]
-    if layout.camera == "intrinsics" and "intrinsics" in parts[0]:
+    if "intrinsics" in parts[0]:
         matrix = np.shape(parts[0].values["intrinsics"][1])[-2:] == (3, 3)
         rows = told("intrinsics", 3, 3)[:, [0, 1, 0, 1], [0, 1, 2, 2]] if matrix else told("intrinsics", 4)
         fx, fy, cx, cy = rows[0].tolist()
@@ -495,7 +494,7 @@ def _camera(
         if not sizes:
             tell(assumed, f"pictures of {size[0]}x{size[1]} pixels, twice the principal point")
         return size, Intrinsics(fx, fy, cx, cy)
-    if layout.camera != "focal" or nowhere:
+    if "focal" not in layout.names or nowhere:
         return None, None
     size = asked.picture_size or (sizes[0] if sizes else None)
     if size is None:

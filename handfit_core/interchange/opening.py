@@ -13,10 +13,11 @@ import numpy as np
 from handfit_core.common.arrays import arrays_of
 from handfit_core.common.errors import InputError
 from handfit_core.common.files import shown
+from handfit_core.common.values import Unfit
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import READERS, recognised
-from handfit_core.interchange.recording import VIRTUAL, PointsHand, ReadOptions, Recording
+from handfit_core.interchange.recording import VIRTUAL_SIZE, PointsHand, ReadOptions, Recording
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, pictures_in
 from handfit_core.media.settings import MEDIA
@@ -41,7 +42,7 @@ class RecordedMedia(Media):
         self.given = given
         self.source = Source("data", recording.files)
         self.fps = recording.fps
-        self.width, self.height = recording.size or VIRTUAL.size
+        self.width, self.height = recording.size or VIRTUAL_SIZE
         wanted = frames or FrameRange()
         self._numbers = [int(n) for n in recording.frame_numbers if int(n) in wanted]
         if not self._numbers:
@@ -105,6 +106,8 @@ def read_recording(path: str | os.PathLike[str], options: ReadOptions | None = N
             recording = replace(recording, size=recording.size or options.picture_size)
             recording = _with_rate(recording, options.fps)
             recording.check()
+    except Unfit as error:
+        raise InputError(f"{shown(path)}: read as {reader.title}, {str(error)[:300]}") from error
     except (
         ArithmeticError,
         AssertionError,
@@ -227,8 +230,7 @@ def scaled(recording: Recording, width: int, height: int) -> Recording:
     by = np.array([width / recording.size[0], height / recording.size[1]])
     seen, camera = recording.seen, recording.intrinsics
     if seen is not None:
-        depth = None if seen.depth is None else seen.depth * by[0]
-        seen = replace(seen, keypoints=seen.keypoints * by, depth=depth)
+        seen = replace(seen, points=seen.points * [*by, by[0]])
     if camera is not None:
         camera = type(camera)(camera.fx * by[0], camera.fy * by[1], camera.cx * by[0], camera.cy * by[1])
     return replace(recording, seen=seen, intrinsics=camera, size=(width, height))

@@ -1,103 +1,40 @@
-"""Hands of points as files tell of them, one by one and half known, made into a recording's."""
+"""Hands of points as files have them, half known, made into a recording's: order, sides, units."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from handfit_core.common.arrays import LARGEST
-from handfit_core.common.batch import Batch
-from handfit_core.common.errors import InputError
-from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, other_side
-from handfit_core.geometry.camera import Intrinsics
-from handfit_core.interchange.json_points import several_hands
+from handfit_core.common.skeleton import SIDES, Side, other_side
 from handfit_core.interchange.orders import ORDERS, order_by_bones
-from handfit_core.interchange.recording import LEAST_POINTS, PointsHand, SeenHands, known
+from handfit_core.interchange.recording import UNKNOWN, PointsHand, SeenHands, known
 
-UNKNOWN: Final = -1
-"""A side that is not told"""
 LEAST_SURE: Final = 0.3
 """What `share_left` must differ from 0 before it is believed"""
 
 
 @dataclass(frozen=True, eq=False)
-class ParsedHands(Batch):
-    """N hands of a file, in its own coordinates."""
-
-    row: np.ndarray
-    """(N,) int: which frame; not decreasing"""
-    side: np.ndarray
-    """(N,) int: which of SIDES, or UNKNOWN"""
-    hand: np.ndarray
-    """(N,) int: which of a frame's hands, where the file counts them"""
-    score: np.ndarray
-    """(N,) 0..1"""
-    points: np.ndarray
-    """(N, K, 3) in the file's order, which `in_order` makes MediaPipe's; NaN: not told, as z is for points in
-    the plane"""
-    confidence: np.ndarray
-    """(N, K) 0..1; 0 for points that are missing"""
-    world: np.ndarray
-    """(N, K, 3) metres about the hand's middle; NaN: not told"""
-
-    @classmethod
-    def of(cls, row: Any, side: Any, hand: Any, score: Any, told: Any, world: Any = np.nan) -> ParsedHands:
-        """The hands of N that have any point. `score`, NaN: the mean of the points' confidence; `told`
-        (N, K, 3) or, with confidences, (N, K, 4), NaN: not told. Raises ValueError for points that no hand
-        has."""
-        row, side, hand = (np.array(each, dtype=int) for each in (row, side, hand))
-        told = np.array(told, dtype=np.float64) if len(row) else np.empty((0, NUM_KEYPOINTS, 4))
-        points = told[..., :3]
-        sure = told[..., 3] if told.shape[-1] > 3 else np.full(points.shape[:2], np.nan)
-        if sure.size and np.nanmax(sure, initial=0.0) > 10.0:
-            sure = sure / 100.0  # percent
-        world = np.broadcast_to(np.array(world, dtype=np.float64), points.shape) if len(row) else points
-        if np.any(np.abs(points) > LARGEST) or np.any(np.abs(world) > LARGEST):
-            raise ValueError(f"a point lies beyond {LARGEST:g}")
-        points, world = (np.where(np.isfinite(each), each, np.nan) for each in (points, world))
-        there = known(points[..., :2]) & np.any(points[..., :2] != 0.0, axis=-1)
-        sure = np.where(there, np.where(np.isnan(sure), 1.0, sure).clip(0.0, 1.0), 0.0)
-        score = np.array(score, dtype=np.float64)
-        score = np.where(np.isfinite(score), score, sure.mean(axis=1)).clip(0.0, 1.0)
-        kept = np.flatnonzero(sure.any(axis=1) | known(world).any(axis=1))
-        order = kept[np.argsort(row[kept], kind="stable")]
-        return cls(row, side, hand, score, points, sure, world).select(order)
-
-    @property
-    def in_plane(self) -> np.ndarray:
-        """(N, 21, 2) x and y of points that are trusted at all."""
-        trusted = (self.confidence > 0.0)[..., None]
-        return np.where(trusted & np.isfinite(self.points[..., :2]), self.points[..., :2], np.nan)
-
-
-@dataclass(frozen=True, eq=False)
 class ParsedPoints:
-    """What a file tells: T frames with hands, and what surrounds them."""
+    """The hands of a file, in its own coordinates, and what it says of them."""
 
-    numbers: np.ndarray
-    """(T,) int, increasing"""
-    hands: ParsedHands
-    fps: float = 0.0
-    """0: not told"""
+    hands: SeenHands
     size: tuple[int, int] | None = None
-    intrinsics: Intrinsics | None = None
     in_space: bool = False
-    """Whether points are in space, rather than in the plane with a depth"""
-    mirrored: bool | None = None
-    """Whether sides count for mirrored pictures; None: not known"""
+    """True if points are in space, rather than in the plane with a depth"""
+    mirrored: bool = False
+    """True if sides count for mirrored pictures"""
     halved: bool = False
-    """Whether parts of the picture's size are from -1 to 1, rather than from 0"""
-    assumed: tuple[str, ...] = ()
+    """True if parts of the picture's size are from -1 to 1, rather than from 0"""
     order: str = ""
     """Of `ORDERS`, as the file tells; empty: it does not"""
     guessed: bool = False
-    """Whether which hand is the left one is guessed by its place in a list"""
+    """True if which hand is the left one is guessed by its place in a list"""
 
 
-def in_order(parsed: ParsedPoints, order: str | None, *, parts: bool) -> tuple[ParsedHands, tuple[str, ...]]:
+def in_order(parsed: ParsedPoints, order: str | None, *, parts: bool) -> tuple[SeenHands, tuple[str, ...]]:
     """The hands in MediaPipe's order, and what is said of it. `order`: the one that is asked for, if any;
     `parts`: whether points in the plane are parts of the picture's size. Raises ValueError if none fits."""
     hands, said = parsed.hands, ""
@@ -112,12 +49,15 @@ def in_order(parsed: ParsedPoints, order: str | None, *, parts: bool) -> tuple[P
     layout = ORDERS[name]
     if layout.count != count:
         raise ValueError(f"its hands have {count} points, and the order {name} has {layout.count}")
+    placed = {name: layout.of(value) for name in _OF_POINTS if (value := getattr(hands, name)) is not None}
     sure = np.nan_to_num(layout.of(hands.confidence[..., None])[..., 0])
-    hands = replace(hands, points=layout.of(hands.points), confidence=sure, world=layout.of(hands.world))
-    return hands, (said,) if said else ()
+    return replace(hands, confidence=sure, **placed), (said,) if said else ()
 
 
-def is_world(hands: ParsedHands) -> bool:
+_OF_POINTS: Final = ("points", "world", "turns")
+
+
+def is_world(hands: SeenHands) -> bool:
     """True if what stands for points is in metres about each hand's middle."""
     points = hands.points[known(hands.points).sum(axis=1) > 15]
     if not len(points):
@@ -126,7 +66,7 @@ def is_world(hands: ParsedHands) -> bool:
     return bool(np.median(middles[:, :2].max(axis=1)) < 0.05 and np.median(reach) < 0.2)
 
 
-def in_metres(hands: ParsedHands) -> bool:
+def in_metres(hands: SeenHands) -> bool:
     """True if points with a depth are in metres before a camera, rather than parts of a picture, where a
     depth counts from a point of the hand: whose own is then zero."""
     points = hands.points[known(hands.points).all(axis=1)]
@@ -136,27 +76,16 @@ def in_metres(hands: ParsedHands) -> bool:
     return bool(0.07 < reach < 0.3 and np.median(points[..., 2]) > 0.1)
 
 
-def seen_hands(hands: ParsedHands) -> SeenHands:
-    """Hands of known sides whose points are in the plane. Depth and world landmarks are kept where every hand
-    has them."""
-    depth = hands.points[..., 2]
-    return SeenHands(
-        hands.row,
-        hands.side == SIDES.index("left"),
-        hands.score,
-        hands.in_plane,
-        np.where(known(hands.in_plane), hands.confidence, 0.0),
-        depth if len(hands) and np.isfinite(depth).all() else None,
-        hands.world if len(hands) and np.isfinite(hands.world).all() else None,
-    )
-
-
-def hands_in_space(
-    hands: ParsedHands, frames: int, *, counted: bool, on_joints: bool, sigma: float | None
-) -> tuple[tuple[PointsHand, ...], tuple[str, ...]]:
-    """The hands over all frames, and what was assumed: each that is `counted`, else one of each side, in a
-    frame the surest, and of those that are as sure the first."""
+def tracks_of(
+    hands: SeenHands, frames: int, *, counted: bool
+) -> tuple[list[tuple[Side, np.ndarray]], tuple[str, ...]]:
+    """Sides and x, y, z of the points (T, 21, 3) of hands over all T frames, or with quaternions (T, 21, 7)
+    if there are any, and what was assumed: each that is `counted`, else one of each side, in a frame the
+    surest, and of those that are as sure the first."""
     found, said = [], []
+    values = np.where((hands.confidence > 0.0)[..., None], hands.points, np.nan)
+    if hands.turns is not None:
+        values = np.concatenate([values, hands.turns], axis=-1)
     which = hands.hand if counted else hands.side
     for number in np.unique(which):
         mine = np.flatnonzero(which == number)[::-1]
@@ -164,12 +93,14 @@ def hands_in_space(
         if np.any(hands.side[mine] != hands.side[mine[0]]):
             raise ValueError(f"hand {number} is a left and a right one; expected always the same side")
         mine = mine[np.argsort(hands.score[mine], kind="stable")]
-        track = np.full((frames, NUM_KEYPOINTS, 3), np.nan)
-        track[hands.row[mine]] = np.where((hands.confidence > 0.0)[mine, :, None], hands.points[mine], np.nan)
-        found.append(PointsHand(side, track, on_joints=on_joints, sigma=sigma))
+        track = np.full((frames, *values.shape[1:]), np.nan)
+        track[hands.row[mine]] = values[mine]
+        found.append((side, track))
         _, times = np.unique(hands.row[mine], return_counts=True)
-        said += several_hands({side: int((times > 1).sum())})
-    return tuple(found), tuple(said)
+        if several := int((times > 1).sum()):
+            which_ones = "frame has" if several == 1 else "frames have"
+            said.append(f"{several} {which_ones} several {side} hands: the first was taken")
+    return found, tuple(said)
 
 
 def metres_of(hands: tuple[PointsHand, ...], units: Mapping[str, float]) -> tuple[float, tuple[str, ...]]:
@@ -219,8 +150,8 @@ def odd_sides(hands: tuple[PointsHand, ...]) -> tuple[str, ...]:
 
 
 def own_sides(
-    hands: ParsedHands, shapes: np.ndarray, mirrored: bool | None
-) -> tuple[ParsedHands, tuple[str, ...]]:
+    hands: SeenHands, shapes: np.ndarray, mirrored: bool | None
+) -> tuple[SeenHands, tuple[str, ...]]:
     """The hands, left and right swapped where labels count for mirrored pictures, and what is said of it.
 
     `shapes` (N, 21, 3): what is known of their shape in space. `mirrored`: what the file's layout says.
@@ -240,7 +171,7 @@ def own_sides(
     return replace(hands, side=np.where(told, 1 - hands.side, hands.side)), (said,)
 
 
-def with_sides(hands: ParsedHands, wanted: str, shapes: np.ndarray) -> tuple[ParsedHands, tuple[str, ...]]:
+def with_sides(hands: SeenHands, wanted: str, shapes: np.ndarray) -> tuple[SeenHands, tuple[str, ...]]:
     """The hands, all with a side, and what was assumed for it.
 
     `wanted` is the option of the sides that are to be kept: where it names one, hands of unknown side are of
@@ -263,13 +194,7 @@ def with_sides(hands: ParsedHands, wanted: str, shapes: np.ndarray) -> tuple[Par
     return replace(hands, side=side), tuple(sorted(said))
 
 
-def check_some(hands: ParsedHands, what: str, hint: str) -> None:
-    """Raise InputError where no hand has enough points. `what`, `hint`: how the sentence begins and ends."""
-    if not np.any(known(hands.in_plane).sum(axis=1) >= LEAST_POINTS):
-        raise InputError(f"{what}, none of its frames has a hand with at least {LEAST_POINTS} points{hint}")
-
-
-def without_hidden(hands: ParsedHands, least: float) -> tuple[ParsedHands, tuple[str, ...]]:
+def without_hidden(hands: SeenHands, least: float) -> tuple[SeenHands, tuple[str, ...]]:
     """The hands whose points have a mean confidence of `least` or more, and what was left out: programs that
     look for whole people tell of hidden hands, too."""
     count = np.maximum((hands.confidence > 0.0).sum(axis=1), 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final
 
 from handfit_core.common.skeleton import FINGERS, NUM_KEYPOINTS, SIDES, Side
@@ -49,13 +50,34 @@ XR_NAMES: Final = frozenset(
 )
 """Those of joints as headsets have them, in metres"""
 _AROUND: Final = re.compile(r"finger|phalanx|joint|xrhand|hand|ext$|^xr|left|right")
+KEYS: Final = {
+    "frame": "frame frameid framenumber frameindex frameidx frameno framenum imageid image file".split(),
+    "time": (
+        "timestamp timestampms timestampinmilliseconds timestamps time times timem timems t "
+        "predicteddisplaytime trackingtimestampus timestampus"
+    ).split(),
+    "side": (
+        "multihandedness handedness handednesses side chirality label type handtype hand handlabel handside "
+        "handhandedness handhandness which model"
+    ).split(),
+    "hand": "handid handindex handidx handnumber handno hand id".split(),
+    "score": "score handednessscore handscore".split(),
+    "confidence": "confidence visibility likelihood conf presence score".split(),
+    "point": (
+        "landmark landmarkindex landmarkid landmarkname landmarkidx point pointid pointname keypoint "
+        "keypointid keypointname joint jointname jointid index name id"
+    ).split(),
+}
+"""Plain names of JSON's keys and of tables' columns by what they hold"""
 
 
+@lru_cache(maxsize=10_000)
 def plain(name: str) -> str:
     """A key or a column's name without its case and the signs between its words."""
     return re.sub(r"[^a-z0-9]", "", name[:300].lower())
 
 
+@lru_cache(maxsize=10_000)
 def point_named(name: str) -> int | None:
     """Which of the 21 points somebody calls so: MediaPipe (INDEX_FINGER_MCP), Apple's Vision (indexMCP,
     VNHLKIMCP), headsets (IndexProximal), and this project (index_1); None: none."""
@@ -64,6 +86,14 @@ def point_named(name: str) -> int | None:
             return 0
         return _NAMES.get(dict(zip("TIMRP", FINGERS, strict=True)).get(code[1][0], "") + code[1][1:].lower())
     return _NAMES.get(short(name))
+
+
+def place_of(name: str) -> int | None:
+    """Which point a JSON key or a table's cell names or counts, from 0 or 1; None: none."""
+    number = name.removesuffix(".0")
+    if number.isascii() and number.isdigit():
+        return int(number) if len(number) < 4 and int(number) <= NUM_KEYPOINTS else None
+    return point_named(name)
 
 
 def short(name: str) -> str:

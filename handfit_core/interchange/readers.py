@@ -45,7 +45,7 @@ READERS: Final = Registry(
     {
         "points": f"{_HERE}.keypoints:POINTS.reader",
         "bvh": f"{_HERE}.bvh:READER",
-        "hand-tracking": f"{_HERE}.hand_tracking:READER",
+        "hand-tracking": f"{_HERE}.hand_tracking:HAND_TRACKING.reader",
         "leap": f"{_HERE}.keypoints:LEAP.reader",
         "sam3d-body": f"{_HERE}.sam3d_body:READER",
         "openpose": f"{_HERE}.keypoints:OPENPOSE.reader",

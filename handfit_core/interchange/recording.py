@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
-from handfit_core.common.arrays import array, array_dataclass, check_arrays, value
+from handfit_core.common.arrays import LARGEST, array, array_dataclass, check_arrays, value
 from handfit_core.common.batch import Batch
 from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, Side
 from handfit_core.common.values import one_of
@@ -18,46 +18,15 @@ from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.settings import LIMITS
 from handfit_core.take import TAKE_LIMITS
 
-
-@dataclass(frozen=True)
-class Virtual:
-    """The camera that is taken for hands that no picture belongs to."""
-
-    size: tuple[int, int] = (1920, 1080)
-    """Pixels of its picture"""
-    distance: float = 0.8
-    """Metres to hands that have no place of their own"""
-    nearest: float = 0.25
-    """Metres to the nearest hand"""
-    apart: float = 0.35
-    """Metres between the origins of a left and a right hand that have no place: their wrists, each 0.1 m
-    towards the other hand from its origin, are 0.15 m apart"""
-
-
-VIRTUAL: Final = Virtual()
-
-
-@array_dataclass
-class SeenHands(Batch):
-    """N hands as they were seen in pictures, each in one of a recording's frames. Pixels of the upright
-    picture (the middle of its first pixel is (0.5, 0.5)), keypoints in MediaPipe's order."""
-
-    row: np.ndarray = array("N", kind="i")
-    """Which of the recording's T frames; not decreasing"""
-    left: np.ndarray = array("N", kind="b")
-    """Whether the true hand is a left one"""
-    score: np.ndarray = array("N")
-    """How sure it is that this is a hand, 0..1"""
-    keypoints: np.ndarray = array("N", NUM_KEYPOINTS, 2)
-    """pixels; NaN: not seen"""
-    confidence: np.ndarray = array("N", NUM_KEYPOINTS)
-    """How sure each point is, 0..1"""
-    depth: np.ndarray | None = array("N", NUM_KEYPOINTS, default=None)
-    """pixels: depth towards the scene, relative to the wrist, on the scale of x; None: not known"""
-    world: np.ndarray | None = array("N", NUM_KEYPOINTS, 3, default=None)
-    """metres about the hand's centre, axes as the camera frame's; None: not known"""
-
-
+VIRTUAL_SIZE: Final = 1920, 1080
+"""Pixels of the picture of the camera that is taken for hands that no picture belongs to"""
+VIRTUAL_DISTANCE: Final = 0.8
+"""Metres from that camera to hands that have no place of their own"""
+_APART: Final = 0.35
+"""Metres between the origins of a left and a right hand that have no place: their wrists, each 0.1 m towards
+the other hand from its origin, are 0.15 m apart"""
+UNKNOWN: Final = -1
+"""A side that is not told"""
 LEAST_POINTS: Final = 6
 """Points of a hand without which nothing can be said of its pose"""
 
@@ -65,6 +34,63 @@ LEAST_POINTS: Final = 6
 def known(numbers: np.ndarray) -> np.ndarray:
     """(...) bool: where all numbers of the last axis are finite."""
     return np.asarray(np.isfinite(numbers).all(axis=-1))
+
+
+@array_dataclass
+class SeenHands(Batch):
+    """N hands as another program found them, each in one of a recording's frames. In a recording they are in
+    pixels of the upright picture (the middle of its first pixel is (0.5, 0.5)), of known sides, and their
+    K = 21 points stand in MediaPipe's order; while a file is read, all that may differ."""
+
+    row: np.ndarray = array("N", kind="i")
+    """Which of the recording's T frames; not decreasing"""
+    side: np.ndarray = array("N", kind="i")
+    """Which of `SIDES` the true hand is of, or `UNKNOWN`"""
+    hand: np.ndarray = array("N", kind="i")
+    """Which of a frame's hands, where the file counts them"""
+    score: np.ndarray = array("N")
+    """How sure it is that this is a hand, 0..1"""
+    points: np.ndarray = array("N", NUM_KEYPOINTS, 3)
+    """x and y in the picture, and depth towards the scene, relative to the wrist, on the scale of x; NaN: not
+    known"""
+    confidence: np.ndarray = array("N", NUM_KEYPOINTS)
+    """How sure each point is, 0..1; 0 for points that are missing"""
+    world: np.ndarray = array("N", NUM_KEYPOINTS, 3)
+    """metres about the hand's centre, axes as the camera frame's; NaN: not known"""
+    turns: np.ndarray | None = array("N", NUM_KEYPOINTS, 4, default=None)
+    """How joints are turned, quaternions x, y, z, w; None: not told"""
+
+    @classmethod
+    def of(cls, row: Any, side: Any, hand: Any, score: Any, told: Any, world: Any = np.nan) -> SeenHands:
+        """The hands of N that have any point. `score`, NaN: the mean of the points' confidence; `told`
+        (N, K, 2), or more columns: x, y, z, confidence and quaternion, NaN: not told. Raises ValueError for
+        points that no hand has."""
+        row, side, hand = (np.array(each, dtype=int) for each in (row, side, hand))
+        told = np.array(told, dtype=np.float64) if len(row) else np.empty((0, NUM_KEYPOINTS, 8))
+        told = np.pad(told, ((0, 0), (0, 0), (0, 8 - told.shape[-1])), constant_values=np.nan)
+        world = np.broadcast_to(
+            np.array(world if len(row) else np.nan, dtype=np.float64), told[..., :3].shape
+        )
+        if np.any(np.abs(told) > LARGEST) or np.any(np.abs(world) > LARGEST):
+            raise ValueError(f"a point lies beyond {LARGEST:g}")
+        told, world = (np.where(np.isfinite(each), each, np.nan) for each in (told, world))
+        points, sure = told[..., :3], told[..., 3]
+        if np.nanmax(sure, initial=0.0) > 10.0:
+            sure = sure / 100.0  # percent
+        there = known(points[..., :2]) & np.any(points[..., :2] != 0.0, axis=-1)
+        sure = np.where(there, np.where(np.isnan(sure), 1.0, sure).clip(0.0, 1.0), 0.0)
+        score = np.array(score, dtype=np.float64)
+        score = np.where(np.isfinite(score), score, sure.mean(axis=1)).clip(0.0, 1.0)
+        found = np.flatnonzero(sure.any(axis=1) | known(world).any(axis=1))
+        turns = told[..., 4:] if np.isfinite(told[..., 4:]).any() else None
+        order = found[np.argsort(row[found], kind="stable")]
+        return cls(row, side, hand, score, points, sure, world, turns).select(order)
+
+    @property
+    def keypoints(self) -> np.ndarray:
+        """(N, K, 2) x and y of points that are trusted at all; NaN: not seen."""
+        trusted = (self.confidence > 0.0)[..., None]
+        return np.where(trusted & np.isfinite(self.points[..., :2]), self.points[..., :2], np.nan)
 
 
 @array_dataclass
@@ -90,7 +116,7 @@ class PointsHand:
 
 def usual_place(side: Side) -> np.ndarray:
     """(3,) metres: the transl, before a virtual camera, of hands whose place is not known."""
-    return np.array([VIRTUAL.apart / 2.0 if side == "left" else -VIRTUAL.apart / 2.0, 0.0, VIRTUAL.distance])
+    return np.array([_APART / 2.0 if side == "left" else -_APART / 2.0, 0.0, VIRTUAL_DISTANCE])
 
 
 @dataclass(frozen=True)
@@ -169,9 +195,9 @@ class Recording:
     def summary(self) -> str:
         """What it holds, in one phrase."""
         if self.seen is not None:
-            what = "keypoints in pictures" + (" with depth" if self.seen.world is not None else "")
-            counts = {"left": int(self.seen.left.sum()), "right": int((~self.seen.left).sum())}
-            return f"{what}: " + ", ".join(f"{n} {side} hands" for side, n in counts.items() if n)
+            what = "keypoints in pictures" + (" with depth" if np.isfinite(self.seen.world).all() else "")
+            counts = zip(SIDES, np.bincount(self.seen.side, minlength=2), strict=True)
+            return f"{what}: " + ", ".join(f"{n} {side} hands" for side, n in counts if n)
         kind = "poses" if self.posed else "points in space"
         hands = (*self.posed, *self.points)
         return f"{kind}: " + ", ".join(f"{h.side} hand in {int(h.present.sum())} frames" for h in hands)

@@ -17,7 +17,7 @@ class FileLimits:
     file_bytes: int = 1 << 29
     """of one file"""
     text_bytes: int = 1 << 27
-    """bytes of one JSON text or table"""
+    """bytes of one JSON text, table or .bvh"""
     parsed_bytes: int = 900_000_000
     """bytes of memory that what is in one may take, together with the text"""
     array_bytes: int = 1 << 28
@@ -49,8 +49,6 @@ class FileLimits:
     """of a frame's number"""
     hands: int = 1000
     """of one list in JSON, of which those after it are not read"""
-    bvh_bytes: int = 1 << 27
-    """bytes of a .bvh"""
     bvh_bones: int = 2048
     relative: float = 3.0
     """Beyond it, coordinates are no parts of the picture's size"""

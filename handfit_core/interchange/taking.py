@@ -17,7 +17,7 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import NO_OFFSETS, detector_landmarks
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.lift import lifted
-from handfit_core.interchange.recording import LEAST_POINTS, VIRTUAL, PointsHand, Recording, known
+from handfit_core.interchange.recording import LEAST_POINTS, VIRTUAL_DISTANCE, PointsHand, Recording, known
 
 
 def detected_in(recording: Recording) -> Detected:
@@ -123,11 +123,11 @@ def before_camera(recording: Recording, *, placed: bool) -> Recording:
 def _before_camera(places: np.ndarray, placed: bool) -> np.ndarray:
     """(3,) metres that bring hands at places (N, 3) into a camera's view; zeros for those that stay."""
     low, high = places.min(axis=0), places.max(axis=0)
-    in_view = low[2] >= VIRTUAL.nearest and np.abs([low[:2], high[:2]]).max() < 0.4 * low[2]
+    in_view = low[2] >= 0.25 and np.abs([low[:2], high[:2]]).max() < 0.4 * low[2]
     if in_view or (placed and np.median(places[:, 2]) > 0.0):
         return np.zeros(3)
     middle, reach = (low + high) / 2.0, (high - low).max() / 2.0
-    return np.array([0.0, 0.0, VIRTUAL.distance + 2.0 * reach]) - middle
+    return np.array([0.0, 0.0, VIRTUAL_DISTANCE + 2.0 * reach]) - middle
 
 
 def seen_of(

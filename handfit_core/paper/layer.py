@@ -28,7 +28,7 @@ _SMALLEST_ANGLE = 1e-18
 
 @dataclass(frozen=True, eq=False)
 class HandOutput:
-    """What `HandLayer.forward` yields, in metres, in the frame that global_orient and transl lead to."""
+    """The result of `HandLayer.forward`, in metres, in the frame that global_orient and transl lead to."""
 
     vertices: torch.Tensor
     """(B, V, 3)"""

@@ -1,4 +1,4 @@
-"""What the paper's experiments are weighed and stopped by."""
+"""Weights and stopping criteria of the paper's experiments."""
 
 from __future__ import annotations
 

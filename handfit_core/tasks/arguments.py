@@ -68,6 +68,10 @@ def add_batch_arguments(
 
 WITH_PARENT: Final = "--with-parent"
 """Has a batch end itself once its stdin ends, as it does with the process that has started it"""
+EXPORTS: Final = "--exports"
+"""Has a batch make files of its takes, as a JSON object says: fields of `exporting.Exports`"""
+EXPORTED: Final = "exported: "
+"""Begins the line with which a Blender answers that has made files of a take"""
 
 
 def _seconds(text: str) -> float:

@@ -20,14 +20,7 @@ from handfit_core.common.version import __version__
 from handfit_core.take import Take
 from handfit_core.take.sheet import write_sheet
 from handfit_core.tasks.inputs import PAIRS
-from handfit_core.tasks.record import (
-    Result,
-    attempt,
-    move_results,
-    read_record,
-    results_folder,
-    write_record,
-)
+from handfit_core.tasks.record import Attempt, Record, Result, move_results, results_folder
 from handfit_core.tasks.report import result_of
 from handfit_core.tasks.task import Task, fingerprint
 
@@ -65,9 +58,9 @@ def run_task(task: Task, output: Path, settings: Settings) -> Result:
             f"{platform.node()} has version {__version__} of handfit_core, and the batch was started by "
             f"version {settings.version}; use the same version on all machines"
         )
-    known = read_record(task.record(output))
+    known = Record.read(task.record(output))
     earlier = result_of(task, known, task.folder(output))
-    if known is not None and known["key"] == task.key and known["run"] == settings.run:
+    if known is not None and known.key == task.key and known.run == settings.run:
         return earlier  # whoever did it died before he could tell
     if not settings.again and earlier.status == "ok":
         return earlier
@@ -78,8 +71,8 @@ def run_task(task: Task, output: Path, settings: Settings) -> Result:
             result.status, result.seconds = "ok", round(time.perf_counter() - started, 3)
             files = {path.name: path.stat().st_size for path in sorted(part.iterdir())}
             result.files += [task.folder(output).joinpath(n).relative_to(output).as_posix() for n in files]
-            write_record(part / task.record(output).name, task.key, result, files, run=settings.run)
-            if known is not None and known["key"] != task.key:
+            Record(task.key, result, files, run=settings.run).write(part / task.record(output).name)
+            if known is not None and known.key != task.key:
                 task.record(output).unlink(missing_ok=True)  # it says nothing of what comes in its place
             move_results(part, task.folder(output))
     except MemoryError:
@@ -88,7 +81,7 @@ def run_task(task: Task, output: Path, settings: Settings) -> Result:
         kind, message = type(error).__name__, " ".join(str(error).split())
         if not isinstance(error, HandfitError):
             message = f"unexpected {kind}: {message}"
-        tried = [attempt(message, kind, time.perf_counter() - started)]
+        tried = [Attempt.now(message, kind, time.perf_counter() - started)]
         return note_failure(task, output, settings, tried, result.warnings)
     return result
 
@@ -97,16 +90,16 @@ def note_failure(
     task: Task,
     output: Path,
     settings: Settings,
-    attempts: Sequence[dict[str, Any]],
+    attempts: Sequence[Attempt],
     warnings: Sequence[str] = (),
 ) -> Result:
     """Note in the record of a task, if it can be written, that it has failed in these attempts. What an
     earlier run has made of it stays noted there."""
-    known = read_record(task.record(output))
-    files = known["files"] if known is not None and known["key"] == task.key else {}
+    known = Record.read(task.record(output))
+    files = known.files if known is not None and known.key == task.key else {}
     result = result_of(task, known).failed(attempts, warnings)
     with contextlib.suppress(OutputError):
-        write_record(task.record(output), task.key, result, files, run=settings.run)
+        Record(task.key, result, files, run=settings.run).write(task.record(output))
     return result
 
 
@@ -165,7 +158,7 @@ def _ended_in_time(task: Task, output: Path, settings: Settings) -> Iterator[Non
 
     def overrun() -> None:
         message = f"{task.shown}: took longer than {settings.timeout:g} seconds (--timeout), and was ended"
-        note_failure(task, output, settings, [attempt(message, "Timeout", settings.timeout or 0.0)])
+        note_failure(task, output, settings, [Attempt.now(message, "Timeout", settings.timeout or 0.0)])
         os._exit(1)
 
     timer = threading.Timer(settings.timeout, overrun)

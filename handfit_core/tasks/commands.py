@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import json
 import os
 import sys
 import uuid
@@ -17,8 +18,9 @@ from handfit_core.capturing.pipeline import check_options
 from handfit_core.common.errors import HandfitError, OptionError
 from handfit_core.common.files import check_writable
 from handfit_core.common.machine import usable_cores, usable_jobs
-from handfit_core.tasks.arguments import WITH_PARENT, add_batch_arguments
+from handfit_core.tasks.arguments import EXPORTS, WITH_PARENT, add_batch_arguments
 from handfit_core.tasks.capture import Settings
+from handfit_core.tasks.exporting import Exporters, Exports
 from handfit_core.tasks.inputs import PAIRS
 from handfit_core.tasks.progress import Progress
 from handfit_core.tasks.record import Result
@@ -43,6 +45,7 @@ def add_batch_command(commands: Any) -> None:
     parser.set_defaults(handler=_batch)
     add_batch_arguments(parser)
     parser.add_argument(WITH_PARENT, action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument(EXPORTS, type=json.loads, help=argparse.SUPPRESS)
 
 
 def _batch(args: argparse.Namespace) -> int:
@@ -71,11 +74,15 @@ def _run(args: argparse.Namespace) -> int:
     if not all(task.take for task in tasks):  # takes need nothing that captures
         _check_packages()
         check_options(options)
+    exports = None
+    if args.exports is not None:
+        said = {name: getattr(args, name) for name in ("again", "overwrite", "timeout", "debug")}
+        exports = Exports(**args.exports, **said)
     found = list(zip(tasks, read_results(output, tasks), strict=True))
     left = [task for task, result in found if _is_left(result, args)]
     jobs = min(args.jobs or usable_jobs(), max(1, len(left)))
     if args.dry_run:
-        return _tell(found, jobs, args)
+        return _tell(found, exports, jobs, args)
     try:
         check_writable(output / REPORT)
     except HandfitError as error:
@@ -95,12 +102,33 @@ def _run(args: argparse.Namespace) -> int:
                 progress.ended(task, result)
         try:
             if left:
-                for task, result in run_tasks(left, output, settings, _workers(args, jobs)):
+                for task, result in run_tasks(left, _workers(output, settings, args, jobs)):
                     progress.ended(task, result)
+            if exports is not None:
+                _export(tasks, output, exports, args.jobs, progress)
         finally:
-            progress.catch_up()
+            progress.catch_up(exports)
     done = all(result.status == "ok" for result in progress.results.values())
     return 0 if done and not progress.trouble else EXIT_SOME_FAILED
+
+
+def _export(
+    tasks: Sequence[Task], output: Path, exports: Exports, jobs: int | None, progress: Progress
+) -> None:
+    """Have files made of the takes that lack some."""
+    left = []
+    for task in tasks:
+        if progress.results[task.key].status != "ok":
+            continue
+        entry = exports.entry(task, output, again=exports.again)
+        if entry.status == "failed":
+            progress.exported(task, entry)
+        elif entry.status == "pending":
+            left.append(task)
+    if left:
+        jobs = min(jobs or usable_jobs(), len(left))
+        for task, result in run_tasks(left, Exporters(output, exports, jobs)):
+            progress.exported(task, result)
 
 
 def _check_packages() -> None:
@@ -119,24 +147,30 @@ def _is_left(result: Result, args: argparse.Namespace) -> bool:
     return result.status != "ok" and not result.is_final
 
 
-def _workers(args: argparse.Namespace, jobs: int) -> Workers:
-    """Who does the tasks. Raises OptionError."""
+def _workers(output: Path, settings: Settings, args: argparse.Namespace, jobs: int) -> Workers:
+    """Who captures. Raises OptionError."""
     if args.scheduler is not None:
-        return DaskWorkers(args.scheduler, jobs)
+        return DaskWorkers(output, settings, args.scheduler, jobs)
     # A process that dies or takes too long must not be this one, unless somebody wants it so.
-    chosen = args.jobs == 1 or (args.jobs is None and importlib.util.find_spec("loky") is None)
-    if chosen and args.timeout is None:
-        return Workers()
-    return LocalProcesses(jobs)
+    alone = args.jobs == 1 and args.timeout is None and args.exports is None
+    if alone or (args.jobs is None and args.timeout is None and importlib.util.find_spec("loky") is None):
+        return Workers(output, settings)
+    return LocalProcesses(output, settings, jobs)
 
 
-def _tell(found: Sequence[tuple[Task, Result]], jobs: int, args: argparse.Namespace) -> int:
+def _tell(
+    found: Sequence[tuple[Task, Result]], exports: Exports | None, jobs: int, args: argparse.Namespace
+) -> int:
     """What would be done."""
+    count, output = 0, args.output.absolute()
     for task, result in found:
-        status = "done" if result.status == "ok" else result.status
-        status = "to do" if _is_left(result, args) else status
-        said = f"{result.error}; --retry-failed tries it again" if status == "failed" else task.error
-        print(f"{status:8} {task.shown} -> {task.folder(args.output.absolute())}{said and f': {said}'}")
-    left = sum(_is_left(result, args) for _, result in found)
-    print(f"{left} of {len(found)} to do, {jobs} at a time")
+        status, said = "to do", task.error
+        if not _is_left(result, args):
+            if result.status == "ok" and exports is not None:
+                result = exports.entry(task, output, again=args.again)
+            status, said = {"ok": "done", "pending": "to do"}.get(result.status, "failed"), result.error
+            said += "; --retry-failed tries it again" if result.is_final else ""
+        count += status == "to do"
+        print(f"{status:8} {task.shown} -> {task.folder(output)}{said and f': {said}'}")
+    print(f"{count} of {len(found)} to do, {jobs} at a time")
     return 0

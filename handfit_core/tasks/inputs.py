@@ -20,7 +20,7 @@ from handfit_core.media.opening import (
 )
 from handfit_core.take import is_take
 from handfit_core.take.sheet import SUFFIX
-from handfit_core.tasks.record import read_record
+from handfit_core.tasks.record import Record
 
 log = logging.getLogger("handfit")
 
@@ -70,7 +70,7 @@ def expand(text: str, grouping: str | None = None) -> list[Input]:
         return [Input(text, name, (str(path),))]
     pattern = str(Path(glob.escape(str(path.parent))) / path.name)
     found = sorted(p for p in map(Path, glob.glob(pattern)) if p.is_file() and not p.name.endswith(_OURS))
-    found = [p for p in found if p.suffix.lower() != ".json" or read_record(p) is None]
+    found = [p for p in found if p.suffix.lower() != ".json" or Record.read(p) is None]
     pictures = [p for p in found if p.suffix.lower() in PHOTO_SUFFIXES]
     others = [_one_file(p) for p in found if p.suffix.lower() not in PHOTO_SUFFIXES]
     jobs = _group(pictures, grouping, path.absolute().parent) + others

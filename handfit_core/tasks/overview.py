@@ -11,13 +11,13 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any, Final
+from typing import Final
 from urllib.parse import quote
 
 from handfit_core.common.files import storable, written_whole
 from handfit_core.take.fit_quality import IN_PICTURE, NOT_KNOWN, Scale, expected_scale
 from handfit_core.take.sheet import SUFFIX
-from handfit_core.tasks.record import Result
+from handfit_core.tasks.record import Attempt, Hand, Result
 
 _SEEN: Final = 0.8
 """Share of a clip's frames in which a hand was found, below which the clip is doubtful"""
@@ -95,13 +95,13 @@ def write_overview(
         beside.write_text("".join(_page(title, results, at)), encoding="utf-8")
 
 
-def scale_and_error(hand: Mapping[str, Any]) -> tuple[Scale | None, float]:
+def scale_and_error(hand: Hand) -> tuple[Scale | None, float]:
     """How far off a hand of a result is likely to be, or lies from the picture where nobody looked; and in
     what."""
-    likely = expected_scale(hand["detected"])
-    for scale, key in ((likely, "mean_expected_error"), (IN_PICTURE, "mean_error_of_hand")):
-        if hand["error_known"] and hand[key] is not None:
-            return scale, hand[key]
+    likely = expected_scale(hand.detected)
+    for scale, error in ((likely, hand.mean_expected_error), (IN_PICTURE, hand.mean_error_of_hand)):
+        if hand.error_known and error is not None:
+            return scale, error
     return None, 0.0
 
 
@@ -109,7 +109,7 @@ def _section_of(result: Result) -> str:
     """Where a result stands on the page: one of `_SECTIONS`."""
     if result.status == "ok":
         doubted = not result.hands or result.warnings or any(_hand(h, result.frames)[1] for h in result.hands)
-        unknown = not all(hand["error_known"] for hand in result.hands)
+        unknown = not all(hand.error_known for hand in result.hands)
         return "doubtful" if doubted else "unknown" if unknown else "good"
     return "failed" if result.status == "failed" else "pending"
 
@@ -164,7 +164,7 @@ def _card(section: str, result: Result) -> str:
     name, given = _name(result.name), _name(result.input)
     if section == "pending":
         return f'<article class="{section} line"><h3>{name}</h3><small>{given}</small></article>\n'
-    host = result.host or (result.attempts[-1]["host"] if result.attempts else "")
+    host = result.host or (result.attempts[-1].host if result.attempts else "")
     facts = [_duration(result.seconds), *([_text(host)] if host else [])]
     if section != "failed":
         facts.insert(0, "1 frame" if result.frames == 1 else f"{_count(result.frames)} frames")
@@ -194,26 +194,26 @@ def _card(section: str, result: Result) -> str:
     return f'<article class="{kind}"><div>{"".join(parts)}</div>{strips}</article>\n'
 
 
-def _hand(hand: Mapping[str, Any], frames: float) -> tuple[str, bool]:
+def _hand(hand: Hand, frames: float) -> tuple[str, bool]:
     """A hand in words, and whether somebody should look at it."""
-    detected, doubtful, said = hand["detected"], hand["doubtful"] or 0, ""
+    detected, doubtful, said = hand.detected, hand.doubtful or 0, ""
     scale, error = scale_and_error(hand)
     quality = scale.quality(error) if scale else "good"
     if frames > 1:
         said = f" in {_count(detected)} of {_count(frames)} frames"
         said += f", {_count(doubtful)} of them doubtful" if doubtful else ""
-    if not hand["error_known"]:
+    if not hand.error_known:
         said += f", {NOT_KNOWN}"
     elif scale is not None:
         said += f", {scale.title.lower()} {scale.said(error)} (<span class={quality}>{quality}</span>)"
     doubted = quality == "poor" or detected < _SEEN * frames or doubtful > _DOUBTED * detected
-    return f"{_text(hand['side'])} hand{said}", doubted
+    return f"{_text(hand.side)} hand{said}", doubted
 
 
-def _attempt(number: int, attempt: Mapping[str, Any]) -> str:
+def _attempt(number: int, attempt: Attempt) -> str:
     """A failed attempt: where, after how long, and what it ended in."""
-    where, after = _text(attempt["host"]), _duration(attempt["seconds"])
-    return f"attempt {number} on {where} failed after {after}: {_text(attempt['error'])}"
+    where, after = _text(attempt.host), _duration(attempt.seconds)
+    return f"attempt {number} on {where} failed after {after}: {_text(attempt.error)}"
 
 
 def _badness(result: Result) -> tuple[float, int]:
@@ -222,7 +222,7 @@ def _badness(result: Result) -> tuple[float, int]:
     frames, worst = max(1.0, result.frames), 0.0
     for hand in result.hands:
         scale, error = scale_and_error(hand)
-        missing = 1.0 - hand["detected"] / frames + (hand["doubtful"] or 0) / frames
+        missing = 1.0 - hand.detected / frames + (hand.doubtful or 0) / frames
         worst = max(worst, missing + (error / scale.fair_below if scale else 0.0))
     return worst, len(result.warnings)
 

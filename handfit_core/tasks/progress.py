@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final, TextIO
 
 from handfit_core.common.errors import HandfitError
+from handfit_core.tasks.exporting import Exports
 from handfit_core.tasks.record import Result
 from handfit_core.tasks.report import line, read_results, write_report
 from handfit_core.tasks.task import Task
@@ -32,6 +33,8 @@ class Progress:
         self.trouble = ""
         """Why the report could not be written the last time"""
         self._over, self._next = 0, 0.0
+        self._exported = set[str]()
+        """Keys of the tasks of whose takes files were made in this run, or could not be"""
         self._bar: Any = None
         if style == "text" and sys.stderr.isatty():
             with contextlib.suppress(ImportError):
@@ -56,6 +59,17 @@ class Progress:
         if time.monotonic() > self._next:
             self.write()
 
+    def exported(self, task: Task, result: Result) -> None:
+        """Files were made of a take, or not: its entry of the report."""
+        self.results[task.key] = result
+        self._exported.add(task.key)
+        status, error = result.status, result.error
+        if self._style == "json":
+            said = {"task": task.key, "name": task.name, "status": status, "error": error}
+            say(json.dumps({"event": "exported", **said}), sys.stdout)
+        elif self._style == "text":
+            say(f"failed: {task.shown}: {error}" if error else f"exported: {task.shown}", sys.stdout)
+
     def write(self) -> None:
         """Write the reports; where that cannot be, what is left to do may still succeed."""
         began = time.monotonic()
@@ -68,10 +82,13 @@ class Progress:
             self.trouble = str(error)
         self._next = time.monotonic() + max(_OFTEN, _SHARE * (time.monotonic() - began))
 
-    def catch_up(self) -> None:
+    def catch_up(self, exports: Exports | None) -> None:
         """Note what a stop kept from being told: processes may have finished it all the same."""
         unknown = [task for task in self._tasks if self.results[task.key].status == "pending"]
         self.results |= {r.id: r for r in read_results(self._output, unknown) if r.status == "ok"}
+        for task in self._tasks:
+            if exports and self.results[task.key].status == "ok" and task.key not in self._exported:
+                self.results[task.key] = exports.entry(task, self._output)
 
     def close(self) -> None:
         """Write the reports a last time, and leave the terminal as it was."""

@@ -1,4 +1,5 @@
 """NAME.json: what became of one input, written last; and the folders in which results come into being."""
+# ruff: noqa: RUF009 (what a dataclass's default calls here makes a field)
 
 from __future__ import annotations
 
@@ -9,13 +10,15 @@ import os
 import platform
 import shutil
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Self
 
-from handfit_core.common.errors import OutputError
+from handfit_core.common.arrays import object_of, value
+from handfit_core.common.errors import HandfitError, OutputError
 from handfit_core.common.files import part_of, read_file, shown, why, written_whole
+from handfit_core.common.values import any_text, dict_of, flag, list_of, number, one_of, or_none, whole
 from handfit_core.take import Take
 from handfit_core.take.fit_quality import error_is_known, mean_expected_error, mean_relative_error
 
@@ -25,35 +28,59 @@ FINAL: Final = ("InputError", "NoHandFoundError", "TakeError")
 
 
 @dataclass
+class Hand:
+    """A hand of a result; docs/batch.md describes its fields."""
+
+    side: str = value(any_text)
+    detected: int = value(whole)
+    error_known: bool = value(flag)
+    doubtful: int | None = value(or_none(whole), None)
+    mean_reprojection_error_px: float | None = value(or_none(number), None)
+    mean_error_of_hand: float | None = value(or_none(number), None)
+    mean_expected_error: float | None = value(or_none(number), None)
+
+
+@dataclass
+class Attempt:
+    """A try that went wrong: what it ended in, where, after how many seconds, and when."""
+
+    error: str = value(any_text)
+    kind: str = value(any_text)
+    """The name of the error's class"""
+    host: str = value(any_text)
+    seconds: float = value(number)
+    at: str = value(any_text, "")
+
+    @classmethod
+    def now(cls, error: str, kind: str, seconds: float = 0.0) -> Self:
+        """One that has ended at this moment on this machine."""
+        at = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        return cls(error, kind, platform.node(), round(seconds, 3), at)
+
+
+@dataclass
 class Result:
     """One entry of report.json, as docs/batch.md describes its fields."""
 
-    input: str
-    name: str
-    status: str = "pending"
-    """pending, ok or failed"""
-    seconds: float = 0.0
-    frames: int = 0
-    hands: list[dict[str, Any]] = field(default_factory=list)
-    views: dict[str, str] | None = None
+    input: str = value(any_text)
+    name: str = value(any_text)
+    status: str = value(one_of("pending", "ok", "failed"), "pending")
+    seconds: float = value(number, 0.0)
+    frames: int = value(whole, 0)
+    hands: list[Hand] = value(list_of(object_of(Hand)), list)
+    views: dict[str, str] | None = value(or_none(dict_of(any_text)), None)
     """The verdict on two views"""
-    character: dict[str, Any] | None = None
-    files: list[str] = field(default_factory=list)
+    character: dict[str, Any] | None = value(or_none(dict_of(lambda _name, held: held)), None)
+    files: list[str] = value(list_of(any_text), list)
     """relative to the report's folder"""
-    warnings: list[str] = field(default_factory=list)
-    error: str = ""
-    id: str = ""
+    warnings: list[str] = value(list_of(any_text), list)
+    error: str = value(any_text, "")
+    id: str = value(any_text, "")
     """of the task"""
-    host: str = ""
+    host: str = value(any_text, "")
     """where it was done"""
-    attempts: list[dict[str, Any]] = field(default_factory=list)
+    attempts: list[Attempt] = value(list_of(object_of(Attempt)), list)
     """what went wrong before, or at last"""
-
-    @classmethod
-    def of_entry(cls, entry: Mapping[str, Any], **known: Any) -> Self:
-        """From an entry of a record, with some fields as they are `known`."""
-        found: dict[str, Any] = {each.name: entry.get(each.name) for each in fields(cls)}
-        return cls(**found | known)
 
     def describe(self, take: Take) -> None:
         """Fill in `frames`, `views` and `hands`."""
@@ -65,102 +92,66 @@ class Result:
             error = track.reprojection_error[track.detected]
             share, likely = mean_relative_error(track, take.intrinsics), mean_expected_error(track)
             self.hands.append(
-                {
-                    "side": track.side,
-                    "detected": int(track.detected.sum()),
-                    "doubtful": None if track.doubtful is None else int(track.doubtful.sum()),
-                    "mean_reprojection_error_px": round(float(error.mean()), 3) if len(error) else None,
-                    "mean_error_of_hand": None if share is None else round(share, 4),
-                    "mean_expected_error": None if likely is None else round(likely, 5),
-                    "error_known": error_is_known(track),
-                }
+                Hand(
+                    track.side,
+                    int(track.detected.sum()),
+                    error_is_known(track),
+                    None if track.doubtful is None else int(track.doubtful.sum()),
+                    round(float(error.mean()), 3) if len(error) else None,
+                    None if share is None else round(share, 4),
+                    None if likely is None else round(likely, 5),
+                )
             )
 
-    def failed(self, attempts: Sequence[dict[str, Any]], warnings: Sequence[str]) -> Self:
+    def failed(self, attempts: Sequence[Attempt], warnings: Sequence[str]) -> Self:
         """The result after these attempts, of which the last one failed, too."""
-        said = {"error": attempts[-1]["error"], "seconds": attempts[-1]["seconds"]}
+        said = {"error": attempts[-1].error, "seconds": attempts[-1].seconds}
         return replace(self, status="failed", attempts=[*attempts], warnings=[*warnings], **said)
 
     @property
     def is_final(self) -> bool:
-        """Whether it failed for a reason that lies in its input."""
-        return self.status == "failed" and bool(self.attempts) and self.attempts[-1]["kind"] in FINAL
+        """True if it failed for a reason that lies in its input."""
+        return self.status == "failed" and bool(self.attempts) and self.attempts[-1].kind in FINAL
 
 
-def attempt(error: str, kind: str, seconds: float) -> dict[str, Any]:
-    """An entry of `attempts`: what went wrong, where, when, after how long."""
-    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    said = {"error": error, "kind": kind, "host": platform.node()}
-    return {**said, "seconds": round(seconds, 3), "at": now}
+@dataclass
+class Record:
+    """What became of one input, or what was made of its take, with the key that says by which options."""
 
+    key: str = value(any_text)
+    result: Result = value(object_of(Result))
+    files: dict[str, int] = value(dict_of(whole), dict)
+    """The bytes of each file beside the record"""
+    formats: dict[str, list[str]] = value(dict_of(list_of(any_text)), dict)
+    """Which of the files are of which format"""
+    run: str = value(any_text, "")
+    """Stands for the command that made it"""
 
-_NUMBER: Final = int | float
-_HAND: Final = {"side": str, "detected": _NUMBER, "error_known": bool} | dict.fromkeys(
-    ("doubtful", "mean_reprojection_error_px", "mean_error_of_hand", "mean_expected_error"), _NUMBER | None
-)
-_ATTEMPT: Final = {"error": str, "kind": str, "host": str, "seconds": _NUMBER}
-_RECORD: Final[Mapping[str, Any]] = {
-    "key": str,
-    "run": str,
-    "files": dict,
-    "formats": dict,
-    "result": {
-        **dict.fromkeys(("input", "name", "status", "error", "id", "host"), str),
-        **dict.fromkeys(("seconds", "frames"), _NUMBER),
-        **{"files": [str], "warnings": [str], "hands": [_HAND], "attempts": [_ATTEMPT]},
-        **dict.fromkeys(("views", "character"), dict | None),
-    },
-}
-"""What records hold; a list has elements of one kind"""
-
-
-def _fits(value: Any, kind: Any) -> bool:
-    if isinstance(kind, list):
-        return isinstance(value, list) and all(_fits(each, kind[0]) for each in value)
-    if isinstance(kind, Mapping):
-        return isinstance(value, dict) and all(
-            name in value and _fits(value[name], k) for name, k in kind.items()
-        )
-    return isinstance(value, kind)
-
-
-def read_record(path: Path) -> dict[str, Any] | None:
-    """What a record says; None where there is none that can be understood."""
-    try:
-        # More digits no float could tell.
-        record = json.loads(read_file(path, _LARGEST), parse_int=lambda digits: int(digits[:16]))
-        json.dumps(record, allow_nan=False)
-    except (OSError, ValueError, RecursionError):
-        return None
-    return record if _fits(record, _RECORD) else None
-
-
-def write_record(
-    path: Path,
-    key: str,
-    result: Result,
-    files: Mapping[str, int],
-    *,
-    run: str = "",
-    formats: Mapping[str, Sequence[str]] = {},
-) -> None:
-    """Write a record whole. `files` gives the bytes of each file beside it, `run` says which command did it,
-    and `formats` which of the files are of which format. Raises OutputError."""
-    record = {"key": key, "run": run, "result": vars(result), "files": files, "formats": formats}
-    with written_whole(path) as beside:
-        beside.write_text(json.dumps(record, indent=1) + "\n", encoding="ascii")
-
-
-def missing_and_changed(folder: Path, record: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """The files of a record that are gone, and the ones that somebody has changed since."""
-    missing, changed = [], []
-    for name, size in record["files"].items():
+    @classmethod
+    def read(cls, path: Path) -> Self | None:
+        """What a file says; None where there is none that can be understood."""
         try:
-            if (folder / Path(name).name).stat().st_size != size:
-                changed.append(name)
-        except (OSError, ValueError):
-            missing.append(name)
-    return missing, changed
+            content = json.loads(read_file(path, _LARGEST))
+            json.dumps(content, allow_nan=False)
+            return object_of(cls)("record", content)
+        except (OSError, ValueError, RecursionError, HandfitError):
+            return None
+
+    def write(self, path: Path) -> None:
+        """Write it whole. Raises OutputError."""
+        with written_whole(path) as beside:
+            beside.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="ascii")
+
+    def missing_and_changed(self, folder: Path) -> tuple[list[str], list[str]]:
+        """The files that are gone from their folder, and the ones that somebody has changed since."""
+        missing, changed = [], []
+        for name, size in self.files.items():
+            try:
+                if (folder / Path(name).name).stat().st_size != size:
+                    changed.append(name)
+            except (OSError, ValueError):
+                missing.append(name)
+        return missing, changed
 
 
 def said_of_changed(names: Sequence[str]) -> str:

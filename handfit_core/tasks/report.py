@@ -6,21 +6,15 @@ Nothing here needs SciPy or OpenCV, so that Blender writes the reports anew once
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from handfit_core.common.files import written_whole
 from handfit_core.take.fit_quality import NOT_KNOWN
 from handfit_core.tasks.overview import scale_and_error, write_overview
-from handfit_core.tasks.record import (
-    Result,
-    missing_and_changed,
-    move_results,
-    read_record,
-    results_folder,
-    said_of_changed,
-)
+from handfit_core.tasks.record import Hand, Record, Result, move_results, results_folder, said_of_changed
 
 if TYPE_CHECKING:
     from handfit_core.tasks.task import Task
@@ -29,15 +23,15 @@ REPORT: Final = "report.json"
 OVERVIEW: Final = "overview.html"
 
 
-def result_of(task: Task, record: Mapping[str, Any] | None, folder: Path | None = None) -> Result:
+def result_of(task: Task, record: Record | None, folder: Path | None = None) -> Result:
     """What a record says of a task; pending where it is another task's, or where files of it that should lie
     in `folder` are gone. Files that somebody has changed since are his work by now, and a warning says so."""
     pending = Result(task.shown, task.name, id=task.key)
-    if record is None or record["key"] != task.key:
+    if record is None or record.key != task.key:
         return pending
-    result = Result.of_entry(record["result"], input=task.shown, name=task.name, id=task.key)
+    result = replace(record.result, input=task.shown, name=task.name, id=task.key)
     if folder is not None and result.status == "ok":
-        missing, changed = missing_and_changed(folder, record)
+        missing, changed = record.missing_and_changed(folder)
         if changed:
             result.warnings.append(said_of_changed(changed))
         elif missing:
@@ -47,12 +41,12 @@ def result_of(task: Task, record: Mapping[str, Any] | None, folder: Path | None 
 
 def read_results(output: Path, tasks: Sequence[Task]) -> list[Result]:
     """What the records say of all tasks, in their order."""
-    return [result_of(t, read_record(t.record(output)), t.folder(output)) for t in tasks]
+    return [result_of(t, Record.read(t.record(output)), t.folder(output)) for t in tasks]
 
 
 def write_report(output: Path, results: Sequence[Result]) -> None:
     """Write report.json and overview.html. Raises OutputError."""
-    report = {"format": "handfit-batch", "version": 1, "inputs": [vars(r) for r in results]}
+    report = {"format": "handfit-batch", "version": 1, "inputs": [asdict(r) for r in results]}
     with results_folder(output) as part:
         with written_whole(part / REPORT) as beside:
             text = json.dumps(report, indent=2, ensure_ascii=False) + "\n"
@@ -68,15 +62,15 @@ def line(result: Result) -> str:
         named = "" if result.error.startswith(result.input) else f"{result.input}: "
         return f"{result.status}: {named}{result.error}"
     hands = ", ".join(
-        f"{hand['side']} hand in {hand['detected']} of {result.frames} frames{_error(hand)}"
+        f"{hand.side} hand in {hand.detected} of {result.frames} frames{_error(hand)}"
         for hand in result.hands
     )
     warnings = f", {len(result.warnings)} warnings" if result.warnings else ""
     return f"ok: {result.input}: {hands}{warnings}, {result.seconds:.1f} s"
 
 
-def _error(hand: Mapping[str, Any]) -> str:
-    if not hand["error_known"]:
+def _error(hand: Hand) -> str:
+    if not hand.error_known:
         return f" ({NOT_KNOWN})"
     scale, error = scale_and_error(hand)
     return f" ({scale.title.lower()} {scale.said(error)}, {scale.quality(error)})" if scale else ""

@@ -6,28 +6,22 @@ from collections import defaultdict, deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Future
 from contextlib import ExitStack
-from pathlib import Path
 from queue import SimpleQueue
-from typing import Any
 
 from handfit_core.common.errors import OptionError
-from handfit_core.tasks.capture import Settings, note_failure
-from handfit_core.tasks.record import Result, attempt, read_record, remove_abandoned
-from handfit_core.tasks.report import result_of
+from handfit_core.tasks.record import Attempt, Result, remove_abandoned
 from handfit_core.tasks.task import Task
-from handfit_core.tasks.workers import SchedulerGone, Workers, interrupted_by_waking
+from handfit_core.tasks.workers import ProcessDied, SchedulerGone, Workers, interrupted_by_waking
 
 
-def run_tasks(
-    tasks: Sequence[Task], output: Path, settings: Settings, workers: Workers
-) -> Iterator[tuple[Task, Result]]:
+def run_tasks(tasks: Sequence[Task], workers: Workers) -> Iterator[tuple[Task, Result]]:
     """Do all of these tasks, the longest first; gives each with its result as it ends.
 
     A task whose process dies is tried again, the last time with nothing beside it, and has failed then.
     Raises OptionError where nobody can do any.
     """
     waiting, last = deque(sorted(tasks, key=lambda task: -task.frames)), list[Task]()
-    attempts = defaultdict[str, list[dict[str, Any]]](list)
+    attempts = defaultdict[str, list[Attempt]](list)
     """By the keys of tasks, how their processes have died"""
     running, ended = dict[Future[Result], Task](), SimpleQueue[Future[Result] | None]()
 
@@ -36,9 +30,9 @@ def run_tasks(
             raise KeyboardInterrupt
         return future
 
-    remove_abandoned(output)
+    remove_abandoned(workers.output)
     with ExitStack() as stack:
-        stack.callback(remove_abandoned, output)
+        stack.callback(remove_abandoned, workers.output)
         stack.callback(workers.close)
         if workers.are_others:
             stack.enter_context(interrupted_by_waking(lambda: ended.put(None)))
@@ -46,7 +40,7 @@ def run_tasks(
             while not running or (waiting and len(running) < workers.room):
                 task = waiting.popleft() if waiting else last.pop()
                 try:
-                    future = workers.submit(task, output, settings)
+                    future = workers.submit(task)
                 except BrokenExecutor:  # a process has died while it was idle, or those at hand tell
                     waiting.appendleft(task)
                     if running:
@@ -60,8 +54,8 @@ def run_tasks(
                 # One has died, and with it the others.
                 over += [next_ended() for _ in range(len(running) - 1)]
                 workers.renew()
-            results = [(task := running.pop(f), f, _result(task, f, output, settings)) for f in over]
-            overran = "Timeout" in [r.attempts[-1]["kind"] for *_, r in results if r and r.attempts]
+            results = [(task := running.pop(f), f, _result(task, f, workers)) for f in over]
+            overran = "Timeout" in [r.attempts[-1].kind for *_, r in results if r and r.attempts]
             for task, future, result in results:
                 tried = attempts[task.key]
                 if result is not None:
@@ -69,9 +63,9 @@ def run_tasks(
                     yield task, result
                     continue
                 if not overran:
-                    tried.append(_death(future))
+                    tried.append(_death(future, workers))
                 if len(tried) >= workers.tries:
-                    yield task, _lost(task, tried, output, settings)
+                    yield task, workers.lost(task, tried)
                 elif len(tried) == workers.tries - 1:
                     last.append(task)
                 else:
@@ -85,7 +79,7 @@ def _error(future: Future[Result]) -> BaseException | None:
         return error
 
 
-def _result(task: Task, future: Future[Result], output: Path, settings: Settings) -> Result | None:
+def _result(task: Task, future: Future[Result], workers: Workers) -> Result | None:
     """What came of a task, None where its process has died before it could tell."""
     error = _error(future)
     if error is None:
@@ -94,24 +88,13 @@ def _result(task: Task, future: Future[Result], output: Path, settings: Settings
         raise SchedulerGone
     if isinstance(error, OptionError):
         raise error
-    record = read_record(task.record(output))
-    if record is not None and record["key"] == task.key and record["run"] == settings.run:
-        return result_of(task, record)
-    return None
+    return workers.told(task)
 
 
-def _death(future: Future[Result]) -> dict[str, Any]:
+def _death(future: Future[Result], workers: Workers) -> Attempt:
     """The attempt that ended so."""
     error = _error(future)
-    if isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker":
-        return attempt("the process that captured it died", "WorkerDied", 0.0)
+    if isinstance(error, BrokenExecutor | ProcessDied) or type(error).__name__ == "KilledWorker":
+        return Attempt.now(workers.death, "WorkerDied")
     said = "memory ran out" if isinstance(error, MemoryError) else f"Dask could not have it done: {error}"
-    return attempt(said, type(error).__name__, 0.0)
-
-
-def _lost(task: Task, tried: Sequence[dict[str, Any]], output: Path, settings: Settings) -> Result:
-    """A task is given up."""
-    *before, last = tried
-    times = f" {len(tried)} times" if before else ""
-    sentence = f"{task.shown}: {last['error']}{times}; the input is damaged, or needs more memory"
-    return note_failure(task, output, settings, [*before, {**last, "error": sentence}])
+    return Attempt.now(said, type(error).__name__)

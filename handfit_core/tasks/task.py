@@ -21,7 +21,7 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import PHOTO_SUFFIXES, is_pattern, matching
 from handfit_core.take.sheet import SUFFIX
 from handfit_core.tasks.inputs import PAIRS, Input, expand, paired
-from handfit_core.tasks.record import read_record
+from handfit_core.tasks.record import Record
 
 TAKE_SUFFIX: Final = ".take.npz"
 _READ_WHOLE: Final = 4 << 20
@@ -152,9 +152,9 @@ class _Names:
         if there is None or self._overwrite:
             return True
         folder = self._output / there
-        record = read_record(folder / f"{name}.json") if there == name else None
+        record = Record.read(folder / f"{name}.json") if there == name else None
         if record is not None:
-            return record["key"] == key or not record["files"]
+            return record.key == key or not record.files
         return there == name and folder.is_dir() and not any(folder.iterdir())
 
 

@@ -9,16 +9,18 @@ import platform
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 from handfit_core.common.errors import HandfitError, OptionError
 from handfit_core.common.machine import usable_cores
 from handfit_core.common.version import __version__
-from handfit_core.tasks.capture import Settings, run_task
-from handfit_core.tasks.record import Result
+from handfit_core.tasks.capture import Settings, note_failure, run_task
+from handfit_core.tasks.record import Attempt, Record, Result
+from handfit_core.tasks.report import result_of
 from handfit_core.tasks.task import Task
 from handfit_core.worker.events import THREAD_VARIABLES
 
@@ -41,8 +43,12 @@ class SchedulerGone(HandfitError):
         )
 
 
+class ProcessDied(Exception):
+    """A process that did a task has died."""
+
+
 class Workers:
-    """Does tasks one after another in this process; what is made of it has others do them."""
+    """Captures one task after another in this process; what is made of it has others do that."""
 
     tries = 1
     """How often a task is tried whose process dies"""
@@ -50,17 +56,38 @@ class Workers:
     """How many tasks may be handed out at a time"""
     are_others = False
     """Whether this process only waits for them"""
+    death = "the process that captured it died"
+    """What is said of a task whose process has died"""
     run: Callable[[Task, Path, Settings], Result] = staticmethod(run_task)
     """What is done"""
 
-    def submit(self, task: Task, output: Path, settings: Settings) -> Future[Result]:
+    def __init__(self, output: Path, settings: Settings) -> None:
+        """`output`: the folder of all results."""
+        self.output, self.settings = output, settings
+
+    def submit(self, task: Task) -> Future[Result]:
         """Have a task done. Raises BrokenExecutor where a process has died."""
         future = Future[Result]()
         try:
-            future.set_result(self.run(task, output, settings))
+            future.set_result(self.run(task, self.output, self.settings))
         except MemoryError as error:
             future.set_exception(error)
         return future
+
+    def told(self, task: Task) -> Result | None:
+        """What a process has noted of a task before it died; None where it has noted nothing."""
+        record = Record.read(task.record(self.output))
+        if record is not None and record.key == task.key and record.run == self.settings.run:
+            return result_of(task, record)
+        return None
+
+    def lost(self, task: Task, tried: Sequence[Attempt]) -> Result:
+        """Give up a task whose process has died each time, and note it."""
+        *before, last = tried
+        times = f" {len(tried)} times" if before else ""
+        sentence = f"{task.shown}: {last.error}{times}; the input is damaged, or needs more memory"
+        tried = [*before, replace(last, error=sentence)]
+        return note_failure(task, self.output, self.settings, tried)
 
     def renew(self) -> None:
         """Start new processes once one has died."""
@@ -76,13 +103,14 @@ class LocalProcesses(Workers):
     tries = 3
     are_others = True
 
-    def __init__(self, jobs: int) -> None:
+    def __init__(self, output: Path, settings: Settings, jobs: int) -> None:
         """Raises OptionError where loky is missing."""
+        super().__init__(output, settings)
         _check_installed("loky", "--jobs 1")
         self.room = jobs
         self._executor: Any = None
 
-    def submit(self, task: Task, output: Path, settings: Settings) -> Future[Result]:
+    def submit(self, task: Task) -> Future[Result]:
         """Have one of the processes do a task. Raises BrokenExecutor where one has died."""
         if self._executor is None:
             from loky import ProcessPoolExecutor, process_executor
@@ -98,7 +126,7 @@ class LocalProcesses(Workers):
                 initargs=(code, {"parent": theirs}),
                 env=dict.fromkeys(THREAD_VARIABLES, threads) | _LEAKED,
             )
-        return self._executor.submit(self.run, task, output, settings)
+        return self._executor.submit(self.run, task, self.output, self.settings)
 
     def renew(self) -> None:
         """End the processes; the next task starts others."""
@@ -158,9 +186,10 @@ class DaskWorkers(Workers):
     """More than there are threads: the scheduler knows best who is free"""
     are_others = True
 
-    def __init__(self, address: str, jobs: int) -> None:
+    def __init__(self, output: Path, settings: Settings, address: str, jobs: int) -> None:
         """Connect to the scheduler of that address; `local`: to one of this machine, with `jobs` workers.
         Raises OptionError where Dask is missing, no scheduler answers, or workers are of another version."""
+        super().__init__(output, settings)
         _check_installed("distributed", "--jobs")
         from dask import config
         from distributed import Client, LocalCluster
@@ -206,7 +235,7 @@ class DaskWorkers(Workers):
                 "install it there"
             ) from error
 
-    def submit(self, task: Task, output: Path, settings: Settings) -> Future[Result]:
+    def submit(self, task: Task) -> Future[Result]:
         """Have the cluster do a task. Its future holds what the worker raised."""
         future = Future[Result]()
 
@@ -218,7 +247,7 @@ class DaskWorkers(Workers):
 
         # Dask's own executor forgets a task whose worker dies with its result: it never ends there. The other
         # tries are where memory ran out.
-        theirs = self._client.submit(self.run, task, output, settings, pure=False, retries=2)
+        theirs = self._client.submit(self.run, task, self.output, self.settings, pure=False, retries=2)
         theirs.add_done_callback(pass_on)
         return future
 

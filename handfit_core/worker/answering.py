@@ -95,7 +95,7 @@ def arms(
 
 
 def _reporting(on_progress: OnProgress) -> Callable[[Progress], None]:
-    return lambda progress: on_progress(progress.stage, progress.done, progress.total)
+    return lambda progress: on_progress(progress.stage, progress.done, progress.total, progress.view)
 
 
 def _check_retimed(source: Any, options: Any, rate: float) -> None:

@@ -138,6 +138,12 @@ class Worker:
         if request in self._open and self._child is not None:
             self._child.send(encode({"request": "cancel", "job": request}))
 
+    def abandon(self, request: int) -> None:
+        """Have a request stopped as soon as it can be, and throw away what it answers."""
+        self.cancel(request)
+        self._open.pop(request, None)
+        self._take_events((request,))
+
     def tell(self, request: int, kind: str, /, **fields: Any) -> None:
         """Say something to a request that runs (`live-record`, `live-calibrate`); nothing to one that is
         over."""

@@ -27,8 +27,8 @@ THREAD_VARIABLES: Final = (
 Event = dict[str, Any]
 """What has become of a request: its `id`, the kind of `event`, and the fields of that kind"""
 
-OnProgress = Callable[[str, int, int], None]
-"""Takes a stage's name, how much of it is done, and how much there is"""
+OnProgress = Callable[..., None]
+"""Takes a stage's name, how much of it is done, how much there is, and, where there are two, the view"""
 
 
 class WorkerError(HandfitError):

@@ -156,17 +156,17 @@ class Server:
         return answer(job.message, should_stop, self._progress_of(job))
 
     def _progress_of(self, job: _Job) -> OnProgress:
-        last_stage, last_time = "", 0.0
+        last_stage, last_time = ("", 0), 0.0
 
-        def report(stage: str, done: int, total: int) -> None:
+        def report(stage: str, done: int, total: int, view: int = 0) -> None:
             nonlocal last_stage, last_time
             if self._ending.is_set():
                 raise _ClientGone
             now = time.monotonic()
-            if stage == last_stage and now - last_time < PROGRESS_SECONDS and done != total:
+            if (stage, view) == last_stage and now - last_time < PROGRESS_SECONDS and done != total:
                 return
-            last_stage, last_time = stage, now
-            self._send(event="progress", id=job.number, stage=stage, done=done, total=total)
+            last_stage, last_time = (stage, view), now
+            self._send(event="progress", id=job.number, stage=stage, view=view, done=done, total=total)
 
         return report
 

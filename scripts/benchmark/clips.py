@@ -162,7 +162,7 @@ def _wander(count: int, every: int, size: float, columns: int, rng: np.random.Ge
 
 
 def _hand_held(count: int, rng: np.random.Generator) -> np.ndarray:
-    """(count, 4, 4) how the room moves before a camera that nobody holds quite still."""
+    """(count, 4, 4) motion of the room before a camera that is held by hand."""
     motion = np.tile(np.eye(4), (count, 1, 1))
     motion[:, :3, :3] = rotvec_to_rotmat(_wander(count, 20, 0.015, 3, rng))
     motion[:, :3, 3] = _wander(count, 20, 0.004, 3, rng)
@@ -170,7 +170,7 @@ def _hand_held(count: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def _stay_apart(hands: list[Placed], fingers: list[np.ndarray]) -> bool:
-    """Whether two hands that only move their fingers never meet."""
+    """True if two hands that only move their fingers never meet."""
     points = []
     for hand, angles in zip(hands, fingers, strict=True):
         poses = hand_pose_from_angles(angles, hand.side)
@@ -195,7 +195,7 @@ def _well_seen(
     translations: np.ndarray,
     size: int,
 ) -> bool:
-    """Whether the hands stay in the picture and before the camera, and the camera out of the sleeves."""
+    """True if the hands stay in the picture and before the camera, and the camera out of the sleeves."""
     points = np.concatenate([hand.keypoints() for hand in moving], axis=1)
     if points[..., 2].min() < 0.06:
         return False

@@ -1,4 +1,4 @@
-"""How deep parts of a hand stand in each other, with a capsule around every bone."""
+"""Penetration of a hand's parts, with a capsule around every bone."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SEGMENTS: Final = (
 
 
 def _may_touch(first: int, second: int) -> bool:
-    """Whether the pair counts; parts that grow together do not."""
+    """True if a pair of parts counts; parts that grow together do not."""
     if first >= 15 and second >= 15:
         return False
     if second >= 15:
@@ -106,7 +106,7 @@ def _flat_overlaps() -> np.ndarray:
 
 
 def overlaps(keypoints: np.ndarray, scale: float = 1.0) -> np.ndarray:
-    """How deep each pair of parts of a hand overlaps beyond what it does in the flat hand.
+    """Depth by which each pair of a hand's parts overlaps beyond its overlap in the flat hand.
 
     keypoints (..., 21, 3) metres; scale: size over the mean hand's. Returns (..., pairs) metres.
     """

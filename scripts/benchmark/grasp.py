@@ -81,7 +81,8 @@ def _close(hand: RightHand, angles: np.ndarray, finger: str, held: Held, rng: np
 
 
 def _oppose(hand: RightHand, angles: np.ndarray, held: Held, rng: np.random.Generator) -> None:
-    """Of many thumbs the one whose tip lies closest to the thing, outside of it and of the fingers."""
+    """Pose the thumb: of many random poses that whose tip is closest to the thing, outside of it and of the
+    fingers."""
     rows = [j - 1 for j in FINGER_JOINTS["thumb"]]
     count = 400
     trials = np.repeat(angles[None], count, axis=0)

@@ -28,7 +28,7 @@ FOCAL_MM: Final = (18.0, 34.0)
 APART: Final = (30.0, 90.0)
 """degrees between the lines of sight to the hand"""
 READOUT: Final = 0.5
-"""Of a frame's time, from the first line of a picture to the last"""
+"""Share of a frame's time between the first and the last line of a picture"""
 _LATEST: Final = 12.0
 """frames from one camera's start to the other's, at most"""
 _LEAD: Final = 14

@@ -29,7 +29,7 @@ class Placed:
 
     side: Side
     kind: str
-    """Of pose"""
+    """A key of `POSES`, or `grasp`"""
     angles: np.ndarray
     """(15, 3) radians, as a right hand's"""
     betas: np.ndarray

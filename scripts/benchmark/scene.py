@@ -20,7 +20,7 @@ from .tint import LUMINANCE, hand_tint, skin_tone
 from .views import random_direction
 
 SHUTTER: Final = 0.5
-"""Of a frame's time, its middle at the frame"""
+"""Share of a frame's time in which the shutter is open; the frame is the middle"""
 _VIEW_TRANSFORMS: Final = ("Standard", "Standard", "Filmic", "AgX")
 
 

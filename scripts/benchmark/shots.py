@@ -75,7 +75,7 @@ class Shot:
     look_seed: tuple[int, ...]
     """Seeds everything that the labels do not depend on: colours, light, background, noise"""
     readout: float = 0.0
-    """Of a frame's time, from the first line of a picture to the last; 0: all lines at once"""
+    """Share of a frame's time between the first and the last line of a picture; 0: all lines at once"""
 
     @property
     def lead(self) -> int:

@@ -33,9 +33,9 @@ from .views import (
 STILLS: Final = 0
 """The kind in a still's seed; `clips.CLIPS` is the other"""
 _MOST_HIDDEN: Final = 9
-"""Of a hand's 21 keypoints behind an arm or the other hand"""
+"""Number of a hand's 21 keypoints that may be behind an arm or the other hand"""
 KINDS: Final = tuple(POSES)
-"""Of hands; another kind would give other pictures of the same seeds"""
+"""Kinds of poses; with another kind, the same seeds would give other pictures"""
 
 
 def still_shot(seed: int, number: int, size: int) -> Shot:
@@ -124,7 +124,7 @@ def shot_hand(hand: Placed, rotations: np.ndarray, translations: np.ndarray) -> 
 
 
 COVERED: Final = (2, 9)
-"""How many of the 21 keypoints a prop may hide"""
+"""Least and largest number of the 21 keypoints that a prop may hide"""
 
 OCCLUDERS: Final[dict[str, Callable[[np.random.Generator], Mesh]]] = {
     "pen": lambda rng: pen(rng.uniform(0.004, 0.009), rng.uniform(0.12, 0.18)),
@@ -139,8 +139,8 @@ OCCLUDERS: Final[dict[str, Callable[[np.random.Generator], Mesh]]] = {
 def random_occluder(
     points: np.ndarray, camera: Intrinsics, nearest: float, rng: np.random.Generator
 ) -> tuple[str, tuple[Mesh, ...]]:
-    """In three pictures of ten a prop in front of some of a hand's keypoints (21, 3), and its name; else, and
-    where none fits, "none".
+    """The name of a prop and the prop, in front of some of a hand's keypoints (21, 3); "none" in seven of ten
+    pictures, and where none fits.
 
     nearest: depth in metres that the hands do not come below; the prop stays before it.
     """
@@ -161,7 +161,7 @@ def random_occluder(
 
 
 def _hides_too_much(hands: list[Placed], rotation: np.ndarray, translation: np.ndarray) -> bool:
-    """Whether arms or the other hand hide most of a hand, or an arm comes up to the lens."""
+    """True if arms or the other hand hide most of a hand, or an arm comes up to the lens."""
 
     def seen(parts: Capsules) -> Capsules:
         return parts[0] @ rotation.T + translation, parts[1] @ rotation.T + translation, parts[2]

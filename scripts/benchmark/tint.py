@@ -23,14 +23,14 @@ TONES: Final = np.array(
 )
 """Skin from dark to light, linear RGB"""
 _NAIL_FROM: Final = 0.52
-"""Where a nail begins, from the last joint (0) to the fingertip (1)"""
+"""Begin of a nail, between the last joint (0) and the fingertip (1)"""
 
 
-def skin_tone(rng: np.random.Generator, tones: np.ndarray = TONES) -> np.ndarray:
+def skin_tone(rng: np.random.Generator) -> np.ndarray:
     """(3,) linear RGB, as often dark as light."""
-    place = rng.uniform(0, len(tones) - 1)
+    place = rng.uniform(0, len(TONES) - 1)
     below = int(place)
-    tone = tones[below] + (place - below) * (tones[below + 1] - tones[below])
+    tone = TONES[below] + (place - below) * (TONES[below + 1] - TONES[below])
     return np.clip(tone * rng.normal(1.0, [0.04, 0.06, 0.08]), 0.01, 0.9)
 
 

@@ -1,4 +1,4 @@
-"""Where the camera stands: the whole sphere of views, roll, focal lengths, and the hand in the frame.
+"""Random cameras: views from all directions, roll, focal lengths, and the hand's place in the picture.
 
 Camera frame: OpenCV's, metres. Pictures are square, the principal point is their centre.
 """
@@ -21,7 +21,7 @@ FOCAL_MM: Final = (20.0, 85.0)
 COVERAGE: Final = (0.25, 0.80)
 """Longer side of the keypoints' box over the picture's side"""
 CUT_OUTSIDE: Final = (3, 8)
-"""How many keypoints of a cut hand lie outside of the picture"""
+"""Least and largest number of keypoints of a cut hand that are outside of the picture"""
 LEAST_ANGLE_TO_ARM: Final = np.radians(35.0)
 """Between the directions to the camera and to the elbow, so that the camera is not in the sleeve"""
 _MARGIN: Final = 0.03
@@ -30,12 +30,12 @@ _NEAREST: Final = 0.04
 
 
 def random_focal_mm(rng: np.random.Generator) -> float:
-    """As many wide-angle as long lenses: uniform in the logarithm."""
+    """A focal length in mm; its logarithm is uniform, which gives as many wide-angle as long lenses."""
     return float(np.exp(rng.uniform(*np.log(FOCAL_MM))))
 
 
 def lens_tags(focal_mm: float) -> dict[str, str]:
-    """What a picture's tags say about its lens."""
+    """The tags of a picture that describe its lens."""
     lens = "wide" if focal_mm < 30 else "normal" if focal_mm < 55 else "long"
     return {"lens": lens, "focal_mm": f"{focal_mm:.0f}"}
 
@@ -67,7 +67,8 @@ def random_view(arms: list[np.ndarray], rng: np.random.Generator, *, usual: bool
 
 
 def random_standpoint(arms: list[np.ndarray], rng: np.random.Generator) -> tuple[str, np.ndarray, float]:
-    """Where the camera is: `sphere`, any view and roll, or as often `usual`; view (3,); roll in radians."""
+    """A random camera: its kind, which is `sphere` (any view and roll) or as often `usual`; its view (3,) and
+    its roll in radians."""
     if rng.random() < 0.5:
         return "sphere", random_view(arms, rng), float(rng.uniform(-np.pi, np.pi))
     view = random_view(arms, rng, usual=True)
@@ -176,14 +177,14 @@ def outside(pixels: np.ndarray, size: float) -> np.ndarray:
 
 
 def hidden_by(points: np.ndarray, starts: np.ndarray, ends: np.ndarray, radii: np.ndarray) -> int:
-    """How many of the points (N, 3) lie behind capsules (M, 3), (M, 3), (M,), all in the camera frame."""
+    """Number of points (N, 3) behind capsules (M, 3), (M, 3), (M,), all in the camera frame."""
     eye = np.zeros_like(points)[:, None]
     distance = segment_distance(eye, 0.96 * points[:, None], starts[None], ends[None])
     return int(np.any(distance < radii, axis=1).sum())
 
 
 def covered_by(pixels: np.ndarray, outline: np.ndarray) -> int:
-    """How many of the pixels (N, 2) lie within the convex hull of `outline` (M, 2)."""
+    """Number of pixels (N, 2) within the convex hull of `outline` (M, 2)."""
     # From within, the outline is seen all around: no two neighbouring directions are half a turn apart.
     towards = outline - pixels[:, None]
     seen = np.sort(np.arctan2(towards[..., 1], towards[..., 0]), axis=1)
@@ -195,7 +196,7 @@ _SIDES: Final = (("palm", (0, -1, 0)), ("back", (0, 1, 0)), ("tips", (-1, 0, 0))
 
 
 def view_name(view: np.ndarray, side: Side) -> str:
-    """Which face of the hand the camera sees most of: palm, back, tips, wrist, or edge."""
+    """The face of the hand that the camera sees most of: palm, back, tips, wrist, or edge."""
     as_right = view if side == "right" else view * np.array([-1.0, 1.0, 1.0])
     name, cosine = max(((n, float(as_right @ np.array(d))) for n, d in _SIDES), key=lambda pair: pair[1])
     return name if cosine >= abs(as_right[2]) else "edge"

@@ -11,14 +11,12 @@ from pathlib import Path
 from handfit_core.detect import landmark_model
 from scripts.extension.staging import ROOT, fix
 from scripts.extension.wheels import BUILD_LOCK, BuildError, Wheel, fetched, pip, read_lock
-from scripts.fetch_landmark_model import assemble, assemble_2020, has_sum
+from scripts.fetch_landmark_model import landmark_models
 
 BESIDE = ("pyproject.toml", "README.md", "LICENSE", "blender_manifest.toml")
 """Files that the core's build reads."""
 NOT_THE_ARTISTS = ("handfit_core/evaluate/", "handfit_core/capturing/live/send.py")
-"""What only a checkout has."""
-
-LANDMARK_MODEL_SHA256 = "7462e38bc4b5eb36699bb7f406e28e9768e70b0b073e0cf8a8da419ea4b8fa02"
+"""Modules that only a checkout has."""
 
 _FILES = (landmark_model.TASK, landmark_model.BODY, landmark_model.NETWORK_2020)
 LANDMARK_MODELS = tuple(f"handfit_core/detect/data/{file.name}" for file in _FILES)
@@ -42,7 +40,7 @@ def core_wheel(folder: Path, root: Path = ROOT) -> Wheel:
         for name in (*files, *BESIDE):
             (source / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(root / name, source / name)
-        for name, path in zip(LANDMARK_MODELS, checked_landmark_models(), strict=True):
+        for name, path in zip(LANDMARK_MODELS, landmark_models(), strict=True):
             shutil.copyfile(path, source / name)
         for path in source.rglob("*"):
             path.chmod(0o755 if path.is_dir() else 0o644)
@@ -96,21 +94,3 @@ def source_files(root: Path = ROOT) -> list[str]:
             )
         found.append(name)
     return found
-
-
-def checked_landmark_models() -> tuple[Path, Path, Path]:
-    """The assembled `LANDMARK_MODELS` in the user's cache, made where they are not there yet, hashes checked.
-
-    Raises BuildError, LandmarkModelError.
-    """
-    first, body, second = (landmark_model.cached_path(file.name) for file in _FILES)
-    for path, sha256, make in (
-        (first, LANDMARK_MODEL_SHA256, lambda: assemble(first)),
-        (body, landmark_model.BODY.sha256, lambda: assemble(first)),
-        (second, landmark_model.NETWORK_2020.sha256, lambda: assemble_2020(second)),
-    ):
-        if not has_sum(path, sha256):
-            make()
-        if not has_sum(path, sha256):
-            raise BuildError(f"{path}: this was assembled to other bytes than the expected ones")
-    return first, body, second

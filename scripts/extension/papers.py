@@ -54,8 +54,8 @@ BUNDLED = (
         "hand_model/data/LICENSE-open-hand.md",
     ),
 )
-"""What lies inside handfit_core's wheel and is not of this project: name, version, SPDX expression, a note,
-and the file in handfit_core that has the licence's words."""
+"""Works of others inside handfit_core's wheel: name, version, SPDX expression, a note, and the file in
+handfit_core with the licence's text."""
 
 _NAMES = r"(LICEN[CS]E|NOTICE|COPYING|AUTHORS)[^/]*(?<!\.py)(?<!\.pyc)(?<!\.pyi)"
 # SciPy keeps some beside the code that they are for.
@@ -71,9 +71,9 @@ _OWN_LICENCE = {
     "torch": ("BSD-3-Clause",),
     "tqdm": ("MPL-2.0", "MIT"),
 }
-"""Of packages whose metadata has no SPDX expression, as their licence files have it"""
+"""Package -> the licence in its licence files, where its metadata has no SPDX expression"""
 _HELD = {"av": "GPL-3.0-or-later"}
-"""Of what lies in a wheel besides the package: FFmpeg, which PyAV builds with all that asks for this"""
+"""Package -> the licence of a library in its wheel: PyAV's FFmpeg is built with parts under this one"""
 _LIBRARIES = (
     (r"lib(gfortran|gcc)", _GCC),
     (r"libquadmath", "LGPL-2.1-or-later"),

@@ -73,7 +73,7 @@ def fix(path: Path) -> None:
 
 
 def extension_tool(blender: str | None = None) -> list[str]:
-    """How to call Blender's extension tool: that of the executable, else of this Python's bpy wheel.
+    """The command of Blender's extension tool: of the executable, else of this Python's bpy wheel.
 
     Raises BuildError.
     """

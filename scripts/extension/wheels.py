@@ -26,7 +26,7 @@ from handfit_core.common.files import cache_dir
 
 LOCKS = Path(__file__).parent / "locks"
 BUILD_LOCK = LOCKS / "build.txt"
-"""What builds handfit_core's wheel."""
+"""The lock of the tool that builds handfit_core's wheel."""
 
 PYTHONS = ("3.11", "3.13")
 """The Pythons of the supported Blenders: 3.11 in 4.2, 4.5 and 5.0, 3.13 in 5.2."""
@@ -45,10 +45,10 @@ RUN_TIME = (
     *("scipy", "opencv-python-headless", "mediapipe", "av"),
     *("loky", "cloudpickle", "tqdm", "threadpoolctl"),
 )
-"""What the worker and batches import, besides handfit_core, and NumPy, which is Blender's own. mediapipe
+"""Packages that the worker and batches import beside handfit_core and Blender's own NumPy. mediapipe
 declares absl-py, flatbuffers and sounddevice, but its hand landmarker imports none of them."""
 TORCH = ("torch", "typing-extensions")
-"""What the paper's experiments need besides: torch and what it imports. What else it declares (sympy,
+"""Packages that the paper's experiments import, too. Others that torch declares (sympy,
 networkx, jinja2, ...) it imports only for what is not used here."""
 
 _PIN = re.compile(r"(?P<name>[\w.-]+)==(?P<version>\S+) --hash=sha256:(?P<sha256>[0-9a-f]{64})")
@@ -166,7 +166,7 @@ def fetched(pins: Sequence[Pin], platform: str | None = None, python: str | None
 
 
 def wheel_cache() -> Path:
-    """Where downloaded wheels are kept."""
+    """The folder of downloaded wheels."""
     return cache_dir() / "wheels"
 
 
@@ -214,6 +214,6 @@ def pip(*arguments: str, **settings: Any) -> None:
 
 
 def sha256_of(path: Path) -> str:
-    """In hexadecimal digits."""
+    """The SHA-256 of a file, in hexadecimal digits."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

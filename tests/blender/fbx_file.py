@@ -1,17 +1,13 @@
-"""Reads what an FBX file says about itself: Autodesk's binary container, version 7.x."""
+"""What an FBX file says about itself, read with the parser of Blender's own importer."""
 
 from __future__ import annotations
 
-import struct
-import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-_NUMBERS = {b"Y": "<h", b"C": "<?", b"I": "<i", b"F": "<f", b"D": "<d", b"L": "<q"}
-_ARRAYS = {b"f": "<f4", b"d": "<f8", b"l": "<i8", b"i": "<i4", b"b": "?"}
+import bpy  # noqa: F401  (Blender's add-ons can be imported once it is)
+from io_scene_fbx import parse_fbx
 
 
 @dataclass
@@ -20,7 +16,7 @@ class Node:
 
     name: str
     values: list[Any]
-    children: list[Node] = field(default_factory=list)
+    children: list[Node]
 
     def all(self, name: str) -> list[Node]:
         return [child for child in self.children if child.name == name]
@@ -30,57 +26,21 @@ class Node:
 
     def properties(self) -> dict[str, Any]:
         """Properties70: name -> value, or a tuple of three."""
-        found = {}
-        for block in self.all("Properties70"):
-            for entry in block.all("P"):
-                rest = entry.values[4:]
-                found[entry.values[0]] = rest[0] if len(rest) == 1 else tuple(rest)
-        return found
+        entries = [entry.values for block in self.all("Properties70") for entry in block.all("P")]
+        return {name: rest[0] if len(rest) == 1 else tuple(rest) for name, _, _, _, *rest in entries}
 
 
 def read_fbx(path: Path) -> Node:
-    data = path.read_bytes()
-    assert data.startswith(b"Kaydara FBX Binary  \x00")
-    (version,) = struct.unpack_from("<I", data, 23)
-    wide = version >= 7500
-    root, at = Node("", []), 27
-    while True:
-        node, at = _record(data, at, wide)
-        if node is None:
-            return root
-        root.children.append(node)
+    """The whole file as one record."""
+    return _node(parse_fbx.parse(str(path), use_namedtuple=True)[0])
 
 
-def _record(data: bytes, at: int, wide: bool) -> tuple[Node | None, int]:
-    head = "<QQQB" if wide else "<IIIB"
-    end, count, _, length = struct.unpack_from(head, data, at)
-    at += struct.calcsize(head)
-    if end == 0:
-        return None, at
-    node = Node(data[at : at + length].decode(), [])
-    at += length
-    for _ in range(count):
-        value, at = _value(data, at)
-        node.values.append(value)
-    while at < end:
-        child, at = _record(data, at, wide)
-        if child is None:
-            break
-        node.children.append(child)
-    return node, end
+def models_of(path: Path) -> dict[str, tuple[str, dict[str, Any]]]:
+    """Name -> (kind, properties) of the file's objects and bones."""
+    nodes = read_fbx(path).first("Objects").all("Model")
+    return {node.values[1].split("\x00")[0]: (node.values[2], node.properties()) for node in nodes}
 
 
-def _value(data: bytes, at: int) -> tuple[Any, int]:
-    kind, at = data[at : at + 1], at + 1
-    if kind in _NUMBERS:
-        size = struct.calcsize(_NUMBERS[kind])
-        return struct.unpack_from(_NUMBERS[kind], data, at)[0], at + size
-    if kind in b"SR":
-        (size,) = struct.unpack_from("<I", data, at)
-        raw = data[at + 4 : at + 4 + size]
-        return raw.decode(errors="replace") if kind == b"S" else raw, at + 4 + size
-    count, packed, size = struct.unpack_from("<III", data, at)
-    raw = data[at + 12 : at + 12 + size]
-    values = np.frombuffer(zlib.decompress(raw) if packed else raw, dtype=_ARRAYS[kind])
-    assert len(values) == count
-    return values, at + 12 + size
+def _node(record: Any) -> Node:
+    values = [v.decode(errors="replace") if isinstance(v, bytes) else v for v in record.props]
+    return Node(record.id.decode(), values, [_node(child) for child in record.elems])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
 
-from blender_manient.operators.capture import new_job
+from blender_manient.operators.capture import new_request
 from blender_manient.panels.capture import MANIENT_PT_capture
 from blender_manient.scene.keys import read_pose_keys
 from blender_manient.scene.store import captured_hands, hand_of
@@ -45,9 +45,7 @@ def capture() -> None:
 
 
 def submitted():
-    job = new_job(bpy.context, only_frame=False)
-    jobs.submit(job)
-    return job
+    return jobs.submit(new_request(bpy.context, only_frame=False))
 
 
 def test_stop_stands_below_the_progress_and_is_grey_while_hands_are_built(photo, settings):
@@ -55,7 +53,7 @@ def test_stop_stands_below_the_progress_and_is_grey_while_hands_are_built(photo,
     job = submitted()
     try:
         for state, said in (("capturing", "Stop"), ("capturing", "Stopping"), ("building", "Building Hands")):
-            vars(job).update(state=state, _stopping=said != "Stop")
+            vars(job).update(state=state, stopping=said != "Stop")
             page = drawn(MANIENT_PT_capture)
             assert said in page.rows
             assert "Capture" not in page.rows
@@ -68,7 +66,7 @@ def test_stop_stands_below_the_progress_and_is_grey_while_hands_are_built(photo,
 def tick_until(condition, seconds: float = 60.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < end, [(j.state, j.message) for j in jobs.jobs()]
+        assert time.monotonic() < end, [(j.state, j.result.message) for j in jobs.jobs()]
         jobs.tick()
         time.sleep(0.002)
 
@@ -84,7 +82,7 @@ def test_photo(photo, settings):
     assert bpy.context.view_layer.objects.active == hand.armature
     assert bpy.context.scene.camera == hand.camera
     (job,) = jobs.jobs()
-    assert (job.state, job.message) == ("done", "1 hand in 1 frame")
+    assert (job.state, job.result.message) == ("done", "1 hand in 1 frame")
     kinds = [o.type for o in hand.collection.all_objects]
     assert (kinds.count("LIGHT"), kinds.count("MESH")) == (3, 2)
     assert set(FINGERS) < set(hand.rig.controls)
@@ -124,12 +122,12 @@ def test_a_shot_keeps_its_time_and_the_hand_begins_where_the_button_was_pressed(
     assert (scene.frame_start, scene.frame_end, scene.frame_current) == (1001, 1120, 1050)
     assert (scene.render.fps, scene.render.resolution_x, scene.camera) == (24, 1920, None)
     assert tuple(hand.armature.animation_data.action.frame_range) == (1010.0, 1013.0)
-    assert not job.matched
-    assert job.scene_message == "Scene stays, hand at frame 1010, 24 fps"
+    assert not job.result.matched
+    assert job.result.scene_message == "Scene stays, hand at frame 1010, 24 fps"
     settings.matching = "MATCH"
     capture()
     assert (scene.frame_start, scene.frame_end) == (3, 6)
-    assert jobs.jobs()[-1].scene_message.startswith("Scene became ")
+    assert jobs.jobs()[-1].result.scene_message.startswith("Scene became ")
 
 
 @needs_capture
@@ -185,8 +183,8 @@ def test_what_happens_to_the_hand_and_the_scene_meanwhile(settings, photo, what)
         bpy.context.window.scene = bpy.data.scenes.new("Other")
         bpy.data.scenes.remove(scene)
     tick_until(lambda: job.finished)
-    assert job.state == "done", job.message
-    assert (len(hands()), bool(job.warnings)) == (1, what != "renamed")
+    assert job.state == "done", job.result.message
+    assert (len(hands()), bool(job.result.warnings)) == (1, what != "renamed")
 
 
 @needs_capture
@@ -214,7 +212,7 @@ def test_what_is_missing_is_said_before_anything_starts(settings, values, said):
     for name, value in values.items():
         setattr(settings, name, value)
     with pytest.raises(HandfitError, match=said):
-        new_job(bpy.context, only_frame=False)
+        new_request(bpy.context, only_frame=False)
     assert shared_worker.current() is None or not shared_worker.current().alive
 
 
@@ -223,10 +221,10 @@ def test_a_frame_outside_the_clip_is_refused(settings, frame, there):
     settings.source, settings.as_sequence = str(SAMPLE / "hand.0003.jpg"), True  # 1 to 24
     bpy.context.scene.frame_set(frame)
     if there:
-        assert new_job(bpy.context, only_frame=True).options.frames.first == frame
+        assert new_request(bpy.context, only_frame=True).options.frames.first == frame
     else:
         with pytest.raises(HandfitError, match="go to its frames 1 to 24"):
-            new_job(bpy.context, only_frame=True)
+            new_request(bpy.context, only_frame=True)
 
 
 def test_settings_become_the_options_of_the_worker(settings):
@@ -234,7 +232,7 @@ def test_settings_become_the_options_of_the_worker(settings):
     settings.preset, settings.experiment = "PAPER", "paper-c"
     settings.use_hand_length, settings.hand_length = True, 17.0
     settings.camera, settings.focal_length = "FOCAL", 72.0
-    options = new_job(bpy.context, only_frame=False).options.to_message()
+    options = new_request(bpy.context, only_frame=False).options.to_message()
     assert options["solver"] == "paper-c"
     assert "quality" not in options
     assert options["hand_length"] == pytest.approx(0.17)
@@ -245,7 +243,7 @@ def test_settings_become_the_options_of_the_worker(settings):
         ("BEST", {"quality": "best"}),
     ):
         settings.preset = quality
-        options = new_job(bpy.context, only_frame=False).options.to_message()
+        options = new_request(bpy.context, only_frame=False).options.to_message()
         others = ("quality", "plain_detection", "solver")
         assert {name: value for name, value in options.items() if name in others} == expected
 
@@ -329,7 +327,7 @@ def test_the_cameras_own_clip_lies_where_the_camera_shows_it(settings, own_camer
     settings.matching = "MATCH"  # which the scene is not, since the clip is in it
     capture()
     (job,) = jobs.jobs()
-    assert (job.matched, job.warnings) == (False, [])
+    assert (job.result.matched, job.result.warnings) == (False, ())
     (hand,) = hands()
     assert hand.armature.animation_data.action.frame_range[:] == (first, first + 9)
     assert (scene.frame_current, scene.render.fps, len(camera.data.background_images)) == (150, 30, 1)

@@ -17,7 +17,7 @@ from tests.drawn import drawn
 
 from .characters import BoneSpec, build_armature, hand_specs, joint_name, mixamo_names, placed
 from .conftest import evaluated_vertices, shown_bones
-from .fbx_file import read_fbx
+from .fbx_file import models_of
 from .importing import read_back
 from .looking import chosen
 
@@ -153,8 +153,7 @@ def rig_read_from(path) -> bpy.types.Object:
 
 def nodes(path, kind: str | None = None) -> set[str]:
     """Names in an FBX file."""
-    models = read_fbx(path).first("Objects").all("Model")
-    return {n.values[1].split("\x00")[0] for n in models if kind in (None, n.values[2])}
+    return {name for name, (its_kind, _) in models_of(path).items() if kind in (None, its_kind)}
 
 
 def export(path, rig: bpy.types.Object, **options):

@@ -29,7 +29,7 @@ from handfit_core.take import Take
 from tests.drawn import drawn
 
 from .conftest import UNSEEN, blocks, built_model, evaluated_vertices, joint_heads, world, write_png
-from .fbx_file import read_fbx
+from .fbx_file import models_of, read_fbx
 from .importing import imported, joint_error, read_back, vertex_error
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -61,12 +61,6 @@ def snapshot() -> list:
         [(o.name, o.data and o.data.name, [list(row) for row in o.matrix_world]) for o in bpy.data.objects],
         (bpy.context.scene.frame_current, bpy.context.mode, bpy.context.view_layer.objects.active.name),
     ]
-
-
-def models_of(path: Path) -> dict:
-    """Name -> (kind, properties) of the file's nodes."""
-    nodes = read_fbx(path).first("Objects").all("Model")
-    return {n.values[1].split("\x00")[0]: (n.values[2], n.properties()) for n in nodes}
 
 
 def assert_untransformed(objects: dict, *names: str) -> None:
@@ -101,7 +95,7 @@ def test_unreal_gets_centimetres_its_own_axes_and_a_root(hands, tmp_path):
     assert_untransformed({k: v for k, v in models.items() if v[0] in ("Null", "Mesh")}, "Lcl Rotation")
     assert_untransformed(models, "Lcl Scaling")
     geometry = next(g for g in file.first("Objects").all("Geometry") if g.values[2] == "Mesh")
-    points = geometry.first("Vertices").values[0].reshape(-1, 3)
+    points = np.reshape(geometry.first("Vertices").values[0], (-1, 3))
     assert 10.0 < np.ptp(points, axis=0).max() < 30.0, "a hand in centimetres"
     # Smoothing groups, without which Unreal warns.
     smoothing = geometry.first("LayerElementSmoothing")

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient.operators.capture import new_job
+from blender_manient.operators.capture import new_request
 from blender_manient.operators.find_hands import MANIENT_OT_find_hands, chosen_source
 from blender_manient.operators.modes.choice import FOUND_AGAIN, Choice, FoundHand
 from blender_manient.operators.modes.find_hands import FindMode
@@ -168,9 +168,9 @@ def test_what_is_asked_for_is_the_frame_that_the_scene_shows(settings):
 def test_chosen_hands_are_captured_whatever_the_panel_says_of_hands(settings):
     settings.source, settings.hands = str(SAMPLE / "hand.0001.jpg"), "left"
     regions = (Region(1.0, 2.0, 30.0, 40.0, side="left"), Region(5.0, 6.0, 30.0, 40.0))
-    options = new_job(bpy.context, only_frame=False, regions=regions).options
+    options = new_request(bpy.context, only_frame=False, regions=regions).options
     assert (options.hands, options.regions, options.only_regions) == ("auto", regions, True)
-    options = new_job(bpy.context, only_frame=False).options
+    options = new_request(bpy.context, only_frame=False).options
     assert (options.hands, options.regions, options.only_regions) == ("left", (), False)
 
 
@@ -183,10 +183,10 @@ def test_the_panel_offers_it_unless_another_program_has_found_them(settings, tmp
     said = drawn(MANIENT_PT_capture).said
     assert not {"manient.find_hands", "manient.add_hand"} & set(said.split())
     with pytest.raises(OptionError, match=r"either regions.* or keypoints"):
-        new_job(bpy.context, only_frame=False, regions=(Region(1.0, 2.0, 30.0, 40.0),))
+        new_request(bpy.context, only_frame=False, regions=(Region(1.0, 2.0, 30.0, 40.0),))
     settings.source = str(SAMPLE / "hand.0002.jpg")
     assert not settings.keypoints
-    jobs.submit(new_job(bpy.context, only_frame=False))
+    jobs.submit(new_request(bpy.context, only_frame=False))
     assert "capture is running" in MANIENT_OT_find_hands.poll_reason(bpy.context)
     jobs.cancel_all()
 
@@ -210,10 +210,10 @@ def test_what_was_found_and_turned_is_built(settings, tmp_path):
     assert choice.add(FoundHand.of(again, drawn=box)) == FOUND_AGAIN
     choice.flip_side(choice.hands[0])
     regions = (*choice.regions(source.frame), Region(1.0, 1.0, 2.0, 2.0))
-    jobs.submit(new_job(bpy.context, only_frame=False, regions=regions))
+    jobs.submit(new_request(bpy.context, only_frame=False, regions=regions))
     (job,) = jobs.run()
-    assert job.state == "done", job.message
-    assert job.offer == "add_hand"
+    assert job.state == "done", job.result.message
+    assert job.result.offer == "add_hand"
     (armature,) = captured_hands(bpy.context.scene)
     assert armature.manient.side == "left"
 
@@ -222,9 +222,13 @@ def test_what_was_found_and_turned_is_built(settings, tmp_path):
 def test_a_crowd_is_not_built_where_somebody_can_be_asked(settings, monkeypatch):
     monkeypatch.setattr(jobs, "CROWD", 0)
     settings.source = str(SAMPLE / "hand.0001.jpg")
-    jobs.submit(new_job(bpy.context, only_frame=False, ask_if_many=True))
+    jobs.submit(new_request(bpy.context, only_frame=False, ask_if_many=True))
     (job,) = jobs.run()
-    assert (job.state, job.hands_to_choose, job.message) == ("cancelled", 1, "1 hands: choose those to build")
+    assert (job.state, job.result.hands_to_choose, job.result.message) == (
+        "cancelled",
+        1,
+        "1 hands: choose those to build",
+    )
     assert not captured_hands(bpy.context.scene)
     assert bpy.ops.manient.capture() == {"FINISHED"}, "scripts cannot be asked"
     assert len(captured_hands(bpy.context.scene)) == 1

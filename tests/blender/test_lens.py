@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 import pytest
 
-from blender_manient.operators.capture import new_job
+from blender_manient.operators.capture import new_request
 from blender_manient.panels.advanced import MANIENT_PT_advanced
 from blender_manient.scene.store import captured_hands, hand_of
 from blender_manient.session import properties
@@ -33,7 +33,7 @@ def settings(registered, tmp_path, monkeypatch):
 def test_measured_lenses_are_offered_by_name(settings):
     settings.camera = "LENS"
     with pytest.raises(OptionError, match="choose the measured lens"):
-        new_job(bpy.context, only_frame=False)
+        new_request(bpy.context, only_frame=False)
     page = drawn(MANIENT_PT_advanced)
     assert {"Chessboard", "Measure"} <= set(page.rows)
     assert "Film the chessboard for half a minute" in page.said
@@ -41,10 +41,10 @@ def test_measured_lenses_are_offered_by_name(settings):
         save_lens(name, MeasuredLens(LENS, 0.2, 1.0, 20))
     assert properties.choices_of_option["measured_lens"]() == ["Webcam 📷", "my/phone"]
     settings.measured_lens = "my/phone"
-    assert new_job(bpy.context, only_frame=False).options.lens == LENS
+    assert new_request(bpy.context, only_frame=False).options.lens == LENS
     save_lens("my/phone", None)
     with pytest.raises(OptionError, match="no measured lens my/phone; saved are Webcam"):
-        new_job(bpy.context, only_frame=False)
+        new_request(bpy.context, only_frame=False)
     lenses_path().write_text("damaged")
     assert properties.choices_of_option["measured_lens"]() == []
 

@@ -136,7 +136,7 @@ def test_a_recording_is_a_preview_then_a_take(settings, character, onto):
         for curve in action_curves(preview):
             curve.keyframe_points.insert(500, 0.5)
     (job,) = jobs.run()
-    assert job.state == "done", job.message
+    assert job.state == "done", job.result.message
     hand = hand_of(captured_hands(bpy.context.scene)[0])
     assert hand.side == "right"
     keyed = min(
@@ -198,7 +198,7 @@ def test_takes_of_the_run_are_hidden_while_hands_follow(settings):
     until(session, lambda: session._sequence > count + 3)
     assert not preview.hide_viewport
     (job,) = jobs.run()
-    assert job.state == "done", job.message
+    assert job.state == "done", job.result.message
     until(session, lambda: take.collections[0].hide_viewport)
     ended(session)
     assert not take.collections[0].hide_viewport
@@ -215,7 +215,7 @@ def test_the_measured_lens_counts_live_and_in_the_take(settings, tmp_path, monke
     record(session, 0.5, by_stop=True)
     until(session, lambda: session.over)
     (job,) = jobs.run()
-    assert job.state == "done", job.message
+    assert job.state == "done", job.result.message
     seen_by = hand_of(captured_hands(bpy.context.scene)[0]).take.intrinsics
     assert seen_by == LENS.scaled(1280, 720).intrinsics
 
@@ -310,4 +310,4 @@ def test_a_killed_worker_keeps_what_was_recorded(settings):
     assert Path(take.path).stat().st_size > 0
     operators.queue_recorded(bpy.context, session)
     (job,) = jobs.run()
-    assert job.state == "done", job.message
+    assert job.state == "done", job.result.message

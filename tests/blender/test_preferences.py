@@ -14,7 +14,7 @@ import blender_manient
 from blender_manient.batch.arguments import add_arguments
 from blender_manient.common import preferences
 from blender_manient.operators import housekeeping
-from blender_manient.operators.capture import new_job
+from blender_manient.operators.capture import new_request
 from blender_manient.panels.advanced import MANIENT_PT_advanced
 from blender_manient.session import cache, shared_worker
 from handfit_core.capturing.options import OPTIONS, CaptureOptions
@@ -185,9 +185,9 @@ def test_the_panel_offers_the_plug_ins_that_the_worker_tells_of(registered, peer
         ["fast", "flat"],  # the paper's experiments are chosen as such
     ]
     settings.source = str(ROOT / "samples" / "rendered_hand" / "hand.0001.jpg")
-    assert {"solver", "detector"}.isdisjoint(new_job(bpy.context, only_frame=False).options.to_message())
+    assert {"solver", "detector"}.isdisjoint(new_request(bpy.context, only_frame=False).options.to_message())
     settings.detector, settings.solver = "bright-spot", "flat"
-    options = new_job(bpy.context, only_frame=False).options
+    options = new_request(bpy.context, only_frame=False).options
     assert (options.detector, options.solver) == ("bright-spot", "flat")
     shared_worker.stop()
     assert {"solver", "detector"} <= set(drawn(MANIENT_PT_advanced).said.split()), "to change back"

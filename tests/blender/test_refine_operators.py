@@ -613,7 +613,7 @@ def test_a_worker_that_dies_changes_nothing_and_the_next_one_works(armature, pee
 
 def test_another_frame_while_dragging_shows_its_own_pose(armature):
     mode, scene = KeypointMode.__new__(KeypointMode), bpy.context.scene  # but for what it draws
-    mode.refiner, mode.address, mode._warming, mode._solved_in = Refiner(armature), 0, 0, 0.0
+    mode.refiner, mode.address, mode._warming, mode._solved_in = Refiner(armature), 0, None, 0.0
     mode.drag, mode.message, mode.done, mode.undone = None, "", 0, 0
     mode.view = SimpleNamespace(shows=lambda _: False)
     mode._frame, mode._places = scene.frame_current_final, mode.picture_places()

@@ -8,7 +8,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
-from blender_manient.operators.capture import new_job  # noqa: E402
+from blender_manient.operators.capture import new_request  # noqa: E402
 from blender_manient.panels.capture import MANIENT_PT_capture  # noqa: E402
 from blender_manient.session import source_info  # noqa: E402
 from handfit_core.common.errors import InputError, OptionError  # noqa: E402
@@ -92,13 +92,13 @@ def test_a_picture_size_that_no_file_tells_is_asked_for(registered, tmp_path):
     assert {"Capture", "Capture Frame 1"} <= set(drawn(MANIENT_PT_capture).grey)
     assert source_info.footage(settings, info) is None
     with pytest.raises(OptionError, match="width and height"):
-        new_job(bpy.context, only_frame=False)
+        new_request(bpy.context, only_frame=False)
 
     settings.picture_size = (640, 480)
     assert drawn(MANIENT_PT_capture).loud == ""
     assert "Capture" not in drawn(MANIENT_PT_capture).grey
     assert source_info.footage(settings, info).width == 640
-    assert new_job(bpy.context, only_frame=False).options.picture_size == (640, 480)
+    assert new_request(bpy.context, only_frame=False).options.picture_size == (640, 480)
     (tmp_path / "others.json").write_text("{}")
     settings.source = str(tmp_path / "others.json")
     assert tuple(settings.picture_size) == (0, 0), "a size belongs to one source"

@@ -11,7 +11,7 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from blender_manient.operators.capture import new_job
+from blender_manient.operators.capture import new_request
 from blender_manient.panels.result import MANIENT_PT_result
 from blender_manient.scene import captures
 from blender_manient.scene.build import build_take
@@ -137,13 +137,13 @@ def test_what_the_panel_tells_of_a_second_view(take, tmp_path):
     settings = bpy.context.scene.manient
     settings.source, settings.second_view = str(tmp_path / "a.avi"), str(tmp_path / "b.avi")
     settings.offset, settings.use_baseline, settings.baseline = 2.0, True, 0.7
-    options = new_job(bpy.context, only_frame=False).options
+    options = new_request(bpy.context, only_frame=False).options
     assert (options.view, options.offset) == (str(tmp_path / "b.avi"), None)
     assert options.baseline == pytest.approx(0.7)
     settings.cameras = str(tmp_path / "rig.toml")
-    told = new_job(bpy.context, only_frame=False).options
+    told = new_request(bpy.context, only_frame=False).options
     assert (told.cameras, told.baseline) == (str(tmp_path / "rig.toml"), None), "it tells the distance"
-    alone = new_job(bpy.context, only_frame=True).options
+    alone = new_request(bpy.context, only_frame=True).options
     assert (alone.view, alone.baseline) == (None, None), "one frame tells no offset"
     settings.source = str(tmp_path / "b.avi")
     assert settings.second_view == "", "it belongs to one source"

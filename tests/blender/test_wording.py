@@ -30,7 +30,7 @@ from blender_manient.scene import store
 from blender_manient.scene.build import build_take
 from blender_manient.scene.store import active_hand
 from blender_manient.session import jobs, refiner, source_info
-from blender_manient.session.jobs import Building, Job
+from blender_manient.session.jobs import Building, CaptureRequest, CaptureResult, Job
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.media.source import Source
 from handfit_core.take.fit_quality import relative_errors
@@ -96,7 +96,7 @@ def test_hands_are_named_after_their_capture_and_its_program(take, tmp_path):
 
 def a_job(name: str) -> Job:
     scene = BlockReference.of("scenes", bpy.context.scene)
-    return Job(name, (f"/shots/{name}",), CaptureOptions(), Building(scene))
+    return jobs.submit(CaptureRequest(name, (f"/shots/{name}",), CaptureOptions(), Building(scene)))
 
 
 def test_a_clip_is_captured_by_one_button_below_a_few_words(registered, tmp_path):
@@ -139,14 +139,10 @@ def test_a_message_is_one_line(registered):
     )
     assert MANIENT_OT_note.description(bpy.context, SimpleNamespace(text=long)) == long
     job = a_job("clip.mp4")
-    job.state, job.message, job.warnings = (
-        "done",
-        "1 hand in 40 frames",
-        ["the picture may show another hand: draw a box around it"],
-    )
-    job.offer = "find_hands"
+    warning = "the picture may show another hand: draw a box around it"
+    job.state = "done"
+    job.result = CaptureResult("1 hand in 40 frames", warnings=(warning,), offer="find_hands")
     bpy.context.scene.manient.captured = job.key
-    jobs.submit(job)
     try:
         page = drawn(MANIENT_PT_capture)
     finally:
@@ -156,24 +152,23 @@ def test_a_message_is_one_line(registered):
 
 
 def test_old_failures_go_when_a_newer_capture_succeeds_which_can_be_undone(registered):
-    def built():
-        return (), [], "1 hand in 1 frame"
-        yield 1.0
+    warning = "4 hands were seen, and the 2 surest were captured"
 
-    old, beside, new = (a_job(f"{name}.mp4") for name in ("old", "beside", "new"))
-    new.warnings = ["4 hands were seen, and the 2 surest were captured"]
-    for job in (old, new, beside):
-        jobs.submit(job)
-        if job != new:
-            job.state = "capturing"
-            jobs._fail(job, "not a video", "")
+    def built():
+        jobs._finish(new, CaptureResult("1 hand in 1 frame", warnings=(warning,)))
+        yield from ()
+
+    old = a_job("old.mp4")
+    jobs._fail(old, "not a video", "")
+    new, beside = a_job("new.mp4"), a_job("beside.mp4")
+    jobs._fail(beside, "not a video", "")
     assert jobs.jobs() == (old, new, beside)
     bpy.ops.ed.undo_push(message="Before")
-    new.state, new._builder = "building", built()
+    new.state, new.steps = "building", built()
     assert jobs.tick()
     # What failed while it waited is news, and stays.
     assert jobs.jobs() == (new, beside)
-    captured = f"new.mp4: 1 hand in 1 frame. {new.warnings[0]} "
+    captured = f"new.mp4: 1 hand in 1 frame. {warning} "
     for step, is_there in ((None, True), (bpy.ops.ed.undo, False), (bpy.ops.ed.redo, True)):
         if step is not None:
             step()

@@ -39,4 +39,3 @@ def test_live_run(capsys):
     for hands in ("one hand", "two hands"):
         assert 0.0 < figures[f"{hands}: latency, median ms"] < 60_000.0
         assert 0.0 < figures[f"{hands}: shown, %"] <= 110.0
-    assert figures["recording: farthest from its capture"] <= 1e-6

@@ -102,7 +102,7 @@ def test_the_same_line_again_makes_what_is_missing(wheel, take_file, tmp_path):
     assert dry[-3:] == [  # before which Blender 5.2 may tell of its colours
         f"to do    {takes[0]} -> {out / 'wave'}",
         f"done     {takes[1]} -> {out / 'nod'}",
-        "1 of 2 to do",
+        "1 of 2 to do, 1 at a time",
     ]
     assert wheel(*line, "glb,bvh").stdout.count("exported: ") == 1
     assert times(out / "wave")["wave.glb"] == before["wave.glb"]
@@ -144,10 +144,10 @@ def test_a_take_that_ends_blender_fails_alone(wheel, take_file, tmp_path, fault,
         "if 'export' in sys.argv:\n"
         "    from blender_manient.batch import exports\n"
         "    make = exports._make\n"
-        "    def fail(options, task, *others, **named):\n"
-        "        if task.name == 'bad':\n"
+        "    def fail(*options, **take):\n"
+        "        if take['name'] == 'bad':\n"
         f"            {fault}\n"
-        "        make(options, task, *others, **named)\n"
+        "        make(*options, **take)\n"
         "    exports._make = fail\n"
         "batch_fit.__file__ = __file__\n"
         "batch_fit._leave(batch_fit.main())\n"

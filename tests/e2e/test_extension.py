@@ -17,14 +17,10 @@ from pathlib import Path
 
 import pytest
 
-from handfit_core.detect.landmark_model import BODY, NETWORK_2020
+from handfit_core.detect.landmark_model import BODY, NETWORK_2020, TASK
 from scripts.build_extension import build
 from scripts.extension import wheels
-from scripts.extension.core_wheel import (
-    LANDMARK_MODEL_SHA256,
-    LANDMARK_MODELS,
-    NOT_THE_ARTISTS,
-)
+from scripts.extension.core_wheel import LANDMARK_MODELS, NOT_THE_ARTISTS
 from scripts.extension.wheels import (
     PLATFORMS,
     PYTHONS,
@@ -99,7 +95,7 @@ def test_the_core_is_its_source_with_the_models_and_without_evaluation_and_netwo
         models = [wheel.read(name) for name in LANDMARK_MODELS]
         names = {name for name in wheel.namelist() if ".dist-info/" not in name}
     sums = [hashlib.sha256(content).hexdigest() for content in models]
-    assert sums == [LANDMARK_MODEL_SHA256, BODY.sha256, NETWORK_2020.sha256]
+    assert sums == [TASK.sha256, BODY.sha256, NETWORK_2020.sha256]
     assert {name for name in names if not name.endswith(".py")} == {
         "handfit_core/py.typed",
         "handfit_core/detect/data/LICENSE-landmark-model.txt",

@@ -27,7 +27,7 @@ from ...common import screen
 from ...common.screen import Box, draw_shape, ui_scale
 from ...common.section import wrapped
 from ...common.wording import capitalised, counted
-from ...session import cache, details, jobs, shared_worker
+from ...session import cache, jobs, shared_worker
 from . import drawing, view
 from .choice import FOUND_AGAIN, Choice, FoundHand
 from .drawing import DARK, PIN_COLOR, draw_tag, frame_box, tag_box
@@ -114,7 +114,7 @@ class FindMode(view.Overlay):
         """Drawn boxes (x, y, width, height) that are not searched yet"""
         self._texture: gpu.types.GPUTexture | None = None
         self._picture = cache.temporary_take("picture").with_suffix(".jpg")
-        self._asked: dict[int, tuple[float, ...] | None] = {}
+        self._asked: dict[shared_worker.Asking, tuple[float, ...] | None] = {}
         """The box that is searched, by request; None: the whole picture"""
         self._showing = self._ask(picture=self._picture)
         self._finding = self._ask()
@@ -147,12 +147,12 @@ class FindMode(view.Overlay):
     def tick(self, context: bpy.types.Context) -> None:
         """Look for answers."""
         try:
-            for request, box in list(self._asked.items()):
-                found = shared_worker.answer(request)
+            for asking, box in list(self._asked.items()):
+                found = shared_worker.advance(asking)
                 if found is None:
                     continue
-                del self._asked[request]
-                if request == self._showing:
+                del self._asked[asking]
+                if asking is self._showing:
                     self.picture_view = view.PictureView((found["width"], found["height"]))
                     self._texture = screen.texture_of(str(self._picture))
                 elif box is None:
@@ -167,18 +167,18 @@ class FindMode(view.Overlay):
         except (HandfitError, RuntimeError) as error:
             self._cancel_requests()
             self.message = capitalised(str(error).strip())
-            details.write_details("Find Hands", self.message, error)
             screen.redraw("VIEW_3D")
 
-    def _ask(self, box: tuple[float, ...] | None = None, picture: Path | None = None) -> int:
+    def _ask(self, box: tuple[float, ...] | None = None, picture: Path | None = None) -> shared_worker.Asking:
         known = [pack(hand.points.astype(np.float32)) for hand in self.choice.hands]
-        request = shared_worker.worker().submit("find", **self.source.fields(box, picture), known=known)
-        self._asked[request] = box
-        return request
+        asking = shared_worker.ask("find", "Find Hands", **self.source.fields(box, picture), known=known)
+        next(asking)
+        self._asked[asking] = box
+        return asking
 
     def _cancel_requests(self) -> None:
-        for request in self._asked:
-            shared_worker.abandon(request)
+        for asking in self._asked:
+            asking.close()
         self._asked.clear()
 
     def search_box(self, corners: np.ndarray) -> None:

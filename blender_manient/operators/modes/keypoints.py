@@ -26,7 +26,7 @@ from ...rigs import rig_of
 from ...scene import see_through
 from ...scene.camera import captured_place
 from ...scene.keys import set_pose
-from ...session import details, jobs, shared_worker
+from ...session import jobs, shared_worker
 from ...session.refiner import BonePoses, Refiner
 from ..base import show_frame_again
 from . import drawing, view
@@ -59,7 +59,6 @@ file's hand gets, and by the view"""
 class _Request(NamedTuple):
     """What the worker was asked of a drag."""
 
-    number: int
     place: np.ndarray | None
     moved_at: float
     pins: Pins
@@ -90,12 +89,17 @@ class _Drag:
     moved: bool = False
     released: bool = False
     asked: _Request | None = None
-    waiting: bool = False
-    """Whether it is with the worker"""
+    asking: shared_worker.Asking | None = None
+    """The request, while it is with the worker"""
     answer: tuple[Pins, BonePoses] | None = None
     """The newest answer, and the pins that it was fitted to"""
     drawn: bool = True
     """Whether the view was asked to show the newest place"""
+
+    @property
+    def waiting(self) -> bool:
+        """True if the worker has not answered yet."""
+        return self.asking is not None
 
     @property
     def pins(self) -> Pins:
@@ -137,7 +141,8 @@ class KeypointMode(view.Overlay):
         self.own_undo = False
         self.ended: str | None = None
         """Why the mode is over, in a sentence"""
-        self._warming = shared_worker.worker().submit("warm")
+        self._warming: shared_worker.Asking | None = shared_worker.ask("warm", "Edit Keypoints")
+        next(self._warming)
         self._solved_in = _ANSWER_WAIT_SECONDS
         self.view = view.CaptureView(viewport, refiner.cameras, context)
         self.solid = False
@@ -159,7 +164,7 @@ class KeypointMode(view.Overlay):
             return
         self.cancel_drag(context)
         if self._warming:
-            shared_worker.abandon(self._warming, cancel=False)
+            self._warming.close()
         see_through.end()
         self._save_view()
         self.view.leave(context)
@@ -412,8 +417,8 @@ class KeypointMode(view.Overlay):
         drag, self.drag = self.drag, None
         if drag is None:
             return
-        if drag.asked is not None and drag.waiting:
-            shared_worker.abandon(drag.asked.number)
+        if drag.asking is not None:
+            drag.asking.close()
         armature = self.refiner.armature_or_none
         if armature is not None and armature.manient.is_hand:
             set_pose(rig_of(armature), drag.poses_before.quats[0], drag.poses_before.locations[0])
@@ -426,8 +431,8 @@ class KeypointMode(view.Overlay):
         self._follow_view(context)
         self._follow_hand(context)
         try:
-            if self._warming and shared_worker.answer(self._warming) is not None:
-                self._warming = 0
+            if self._warming and shared_worker.advance(self._warming) is not None:
+                self._warming = None
                 screen.redraw("VIEW_3D")
             if self.drag is None:
                 return
@@ -436,18 +441,15 @@ class KeypointMode(view.Overlay):
                 return
             self._tick_drag(context, self.drag)
         except HandfitError as error:
-            self._warming, self.message = 0, str(error)
-            if self.drag is not None:
-                self.drag.waiting = False
-            details.write_details("Edit Keypoints", str(error), error)
+            self._warming, self.message = None, str(error)
             self.cancel_drag(context)
             show_frame_again(context)
 
     def _tick_drag(self, context: bpy.types.Context, drag: _Drag) -> None:
-        if drag.asked is not None and drag.waiting:
-            done = shared_worker.answer(drag.asked.number)
+        if drag.asked is not None and drag.asking is not None:
+            done = shared_worker.advance(drag.asking)
             if done is not None:
-                drag.waiting, self._solved_in = False, float(done.get("seconds", 0.0))
+                drag.asking, self._solved_in = None, float(done["seconds"])
                 self._show(context, drag, drag.asked, self.refiner.poses(done))
         if not drag.waiting and drag.moved and drag.needs_request:
             if drag.place is None and not self._is_constrained(drag):
@@ -455,9 +457,9 @@ class KeypointMode(view.Overlay):
             else:
                 mode = "each" if drag.released else "draft"
                 fields = self.refiner.request([drag.row], [drag.pins], drag.start, mode)()
-                number = shared_worker.worker().submit("refit", **fields)
-                drag.asked = _Request(number, drag.place, drag.moved_at, drag.pins, drag.released)
-                drag.waiting = True
+                drag.asking = shared_worker.ask("refit", "Edit Keypoints", **fields)
+                drag.asked = _Request(drag.place, drag.moved_at, drag.pins, drag.released)
+                next(drag.asking)
         elif not drag.waiting and drag.released:
             self._finish(context, drag)
         if not drag.drawn and time.perf_counter() - drag.moved_at > _REDRAW_AFTER_SECONDS:

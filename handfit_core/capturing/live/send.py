@@ -27,12 +27,12 @@ from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.pipeline import hand_summaries
 from handfit_core.common.errors import OptionError, OutputError
 from handfit_core.common.files import why
-from handfit_core.common.skeleton import FINGER_JOINTS, NUM_JOINTS, PARENTS, SIDES, Side
+from handfit_core.common.skeleton import NUM_JOINTS, PARENTS, SIDES, Side
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import REST_FROM_MODEL
 from handfit_core.hand_model.data import HandModel
-from handfit_core.interchange.humanoid import BODY, HumanoidHand, bone_names, hands_of
+from handfit_core.interchange.humanoid import BODY, HumanoidHand, bone_names, hands_of, unity_names
 from handfit_core.retarget.transfer import SourceHand
 
 _PORT: Final = 39539
@@ -110,16 +110,6 @@ def host_and_port(text: str) -> tuple[str, int]:
     if not host or not port.isdecimal() or not 0 < int(port) < 1 << 16:
         raise OptionError(f"--vmc names where to send to, as in 127.0.0.1:{_PORT}; got {text[:100]!r}")
     return host, int(port)
-
-
-def unity_names(side: Side) -> tuple[str, ...]:
-    """The names in Unity's HumanBodyBones of a hand's 16 bones, by MANO's joints. The thumb's first bone is
-    its proximal one there, not its metacarpal."""
-    names = [f"{side.title()}Hand"] * NUM_JOINTS
-    for finger, joints in FINGER_JOINTS.items():
-        for joint, part in zip(joints, ("Proximal", "Intermediate", "Distal"), strict=True):
-            names[joint] = f"{side.title()}{finger.title()}{part}"
-    return tuple(names)
 
 
 def osc_message(address: str, *values: str | float) -> bytes:

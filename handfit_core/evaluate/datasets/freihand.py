@@ -16,7 +16,7 @@ COPIES = 4
 
 
 def recognises(root: Path) -> bool:
-    """Whether the folder has any part of this layout."""
+    """True if the folder has any part of this layout."""
     parts = ("{}/rgb", "{}_K.json", "{}_xyz.json", "{}_scale.json")
     return any((root / part.format(split)).exists() for split in PLACES for part in parts)
 

@@ -22,7 +22,7 @@ OPENGL_TO_CAMERA = np.array([1.0, -1.0, -1.0])
 
 
 def recognises(root: Path) -> bool:
-    """Whether the folder has any part of this layout."""
+    """True if the folder has any part of this layout."""
     parts = ("{0}.txt", "{0}/*/meta", "{0}/*/rgb")
     return any(any(root.glob(part.format(split))) for split in PLACES for part in parts)
 

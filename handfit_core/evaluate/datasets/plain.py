@@ -28,7 +28,7 @@ _HAND_KEYS = ("hand", *_POINTS, "mano")
 
 
 def recognises(root: Path) -> bool:
-    """Whether the folder has an index."""
+    """True if the folder has an index."""
     return (root / INDEX).is_file()
 
 
@@ -117,7 +117,7 @@ def _plain(value: Any) -> Any:
 
 
 def _problem_of(root: Path, item: dict[str, Any], file: str, seen: set[str]) -> str | None:
-    """Why a picture cannot be an entry."""
+    """The reason why a picture cannot be an entry, or None."""
     if Path(file).is_absolute() or ".." in Path(file).parts:
         return "file outside the folder"
     if file in seen:
@@ -128,7 +128,8 @@ def _problem_of(root: Path, item: dict[str, Any], file: str, seen: set[str]) -> 
 
 
 def _doubts(item: dict[str, Any], file: str) -> list[Problem]:
-    """What a usable picture lacks. Only parameters of the bundled hand, as it is now, become a mesh."""
+    """Problems of a picture that can be used all the same. Only parameters of the bundled hand, in its
+    present version, become a mesh."""
     meshes = [hand for hand in _hands_of(item) if isinstance(hand, dict) and hand.get("mano") is not None]
     others = ["mesh of another hand model: not scored" for hand in meshes if not _is_ours(hand)]
     return [Problem(kind, file) for kind in [reading.NO_CAMERA] * (item.get("K") is None) + others]

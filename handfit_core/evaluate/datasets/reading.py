@@ -1,4 +1,4 @@
-"""What the readers share. What they do not check raises as it does, and is told with the file or picture."""
+"""Functions that the readers share. Other errors of damaged files are reported with the file or picture."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def split_of(root: Path, split: str | None, places: Mapping[str, str], layout: s
 
 
 def read_json(path: Path) -> Any:
-    """What a JSON file holds; NaN is allowed. Raises DatasetError, OSError."""
+    """The content of a JSON file; NaN is allowed. Raises DatasetError, OSError."""
     return _parsed(path, path.read_bytes().removeprefix(codecs.BOM_UTF8))
 
 
@@ -140,7 +140,7 @@ def mesh_of(path: Path, index: int, axes: np.ndarray | float = 1.0) -> MeshLabel
 
 @lru_cache(maxsize=1)
 def _mesh_places(path: Path) -> list[tuple[int, int] | None]:
-    """Where each mesh begins and ends, in bytes, as far as the file is whole; None where a null stands."""
+    """First and last byte of each mesh, up to where the file is cut off; None for a null."""
     places: list[tuple[int, int] | None] = []
     if not path.stat().st_size:
         return places
@@ -155,7 +155,7 @@ def _mesh_places(path: Path) -> list[tuple[int, int] | None]:
 
 
 def number_of(picture: Path) -> int | None:
-    """The number that is a picture's name."""
+    """The number that is a picture's name, or None."""
     return int(picture.stem) if picture.stem.isascii() and picture.stem.isdigit() else None
 
 

@@ -21,7 +21,7 @@ _POINTS: dict[Side, slice] = {"left": slice(0, 21), "right": slice(21, 42)}
 
 
 def recognises(root: Path) -> bool:
-    """Whether the folder has any part of this layout."""
+    """True if the folder has any part of this layout."""
     return any((root / path).is_file() or (root / split / "color").is_dir() for split, path in PLACES.items())
 
 

@@ -27,14 +27,14 @@ _MM = 1000.0
 
 @dataclass(frozen=True, eq=False)
 class TipSet:
-    """What differs between the two sets."""
+    """One of the two sets: its files, how its numbers are read, and its cameras."""
 
     kind: str
     title: str
     layout: str
     sequences: tuple[str, ...]
     files: Mapping[str, tuple[str, ...]]
-    """Of `cleaned` and `original` labels, where a sequence's file may be; {0} is the sequence"""
+    """Places of a sequence's file with `cleaned` and with `original` labels; {0} is the sequence"""
     clean: Callable[[np.ndarray], np.ndarray]
     """(5, 3) numbers of a line -> (5, 3) mm in the depth camera's frame, NaN where missing"""
     color: Intrinsics
@@ -52,7 +52,7 @@ class TipSet:
         return {sequence: folder for sequence, folder in folders.items() if folder.is_dir()}
 
     def recognises(self, root: Path) -> bool:
-        """Whether any of the set's sequences is there."""
+        """True if any of the set's sequences is there."""
         return bool(self._folders(root))
 
     def read(self, root: Path, labels: str | None = None, *, published_frame: bool = False) -> Dataset:
@@ -138,8 +138,8 @@ class TipSet:
 
 
 def _rows_of(pictures: list[Path], lines: int) -> list[int] | None:
-    """Which line belongs to each picture: by order, where their numbers agree, else by the number in
-    the names, so that a missing picture does not shift all that follow. None where neither works."""
+    """The line of each picture: by order, if there are as many of both, else by the number in the pictures'
+    names, so that a missing picture does not shift all that follow. None where neither works."""
     if len(pictures) == lines:
         return list(range(lines))
     numbers = sequence_numbers(pictures)

@@ -20,6 +20,7 @@ from handfit_core.common.arrays import LARGEST
 from handfit_core.common.errors import HandModelError, InputError, OptionError
 from handfit_core.common.files import shown
 from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES, Side
+from handfit_core.common.values import Unfit
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import REST_FROM_MODEL
@@ -66,20 +67,16 @@ def _recognises(document: Document) -> bool:
 
 
 def _read(document: Document, asked: ReadOptions) -> Recording:
-    path = shown(document.path)
-    try:
-        skeleton, numbers, seconds = _parsed(document)
-        animated, largest = _posed(skeleton, numbers)
-    except _Wrong as error:
-        raise InputError(f"{path}: this BVH file {error}") from error
+    skeleton, numbers, seconds = _parsed(document)
+    animated, largest = _posed(skeleton, numbers)
     up = _up_axis(animated.bones)
     try:
         made = (hand_of_bones(animated, load_model(asked.model, side), UP_AXES[up]) for side in SIDES)
         hands = [hand for hand in made if hand is not None]
     except HandModelError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"{shown(document.path)}: {error}") from error
     if not hands:
-        raise InputError(f"{path}: {no_hand(animated.bones)}")
+        raise Unfit(no_hand(animated.bones))
     units = dict.fromkeys(name_of_unit(hand.unit) for hand in hands)
     assumed = [f"its numbers are {' and '.join(units)}, as its hands' size tells, and {up} is up"]
     for hand in hands:
@@ -104,55 +101,53 @@ def _read(document: Document, asked: ReadOptions) -> Recording:
     )
 
 
-class _Wrong(Exception):
-    """What is wrong with a file, to be put after its name."""
-
-
 def _parsed(document: Document) -> tuple[_Skeleton, np.ndarray, float]:
-    """The bones, what their channels are in T frames (T, channels), and the seconds of a frame."""
-    if len(document.bytes) > LIMITS.bvh_bytes:
-        size = len(document.bytes)
-        raise _Wrong(f"has {size} bytes, and at most {LIMITS.bvh_bytes} are read; cut it into parts")
+    """The bones, what their channels are in T frames (T, channels), and the seconds of a frame. Raises
+    Unfit."""
+    if len(document.bytes) > LIMITS.text_bytes:
+        raise Unfit(
+            f"it has more than {LIMITS.text_bytes} bytes, and at most so many are read: cut it in parts"
+        )
     text = document.text
     if text is None:
         text = document.bytes.decode("latin-1")
     motion = _MOTION.search(text)
     if not motion:
-        raise _Wrong("has no MOTION, so that it is only a part of one")
+        raise Unfit("it has no MOTION, so that it is only a part of one")
     if motion.start() > _LONGEST:
-        raise _Wrong(f"has a HIERARCHY of more than {LIMITS.bvh_bones} bones")
+        raise Unfit(f"it has a HIERARCHY of more than {LIMITS.bvh_bones} bones")
     skeleton = _hierarchy(iter(text[: motion.start()].split()))
     said = _HEADER.match(text, motion.end())
     if not said:
-        raise _Wrong("does not say Frames and Frame Time after MOTION")
+        raise Unfit("it does not say Frames and Frame Time after MOTION")
     count, width = int(said[1]), sum(map(len, skeleton.channels))
     LIMITS.check(document.path, count, points=max(len(skeleton.names), width // 3))
     if len(text) - said.end() > 64 * (count * width + 100):
-        raise _Wrong(f"says {count} frames of {width} channels, and has far more numbers")
+        raise Unfit(f"it says {count} frames of {width} channels, and has far more numbers")
     try:
         seconds = float(said[2])
         with warnings.catch_warnings():
             warnings.simplefilter("error", DeprecationWarning)
             numbers = np.fromstring(text[said.end() :], sep=" ")
     except (ValueError, DeprecationWarning) as error:
-        raise _Wrong("holds what is no number among its frames") from error
+        raise Unfit("it holds what is no number among its frames") from error
     if not count * width or len(numbers) != count * width:
-        raise _Wrong(
-            f"says {count} frames of {width} channels, which are {count * width} numbers, and has "
+        raise Unfit(
+            f"it says {count} frames of {width} channels, which are {count * width} numbers, and has "
             f"{len(numbers)}; it may be cut off"
         )
     if not (np.abs(numbers) <= LARGEST).all():
-        raise _Wrong("holds numbers that are none, or too large")
+        raise Unfit("it holds numbers that are none, or too large")
     return skeleton, numbers.reshape(count, width), seconds
 
 
 def _hierarchy(words: Iterator[str]) -> _Skeleton:
-    """What stands before MOTION. Raises _Wrong."""
+    """What stands before MOTION. Raises Unfit."""
     skeleton, open_bones = _Skeleton(), []
     taken: dict[str, int] = {}
     try:
         if next(words).upper() != "HIERARCHY":
-            raise _Wrong("does not begin with HIERARCHY")
+            raise Unfit("it does not begin with HIERARCHY")
         for word in words:
             match word.upper():
                 case "ROOT" | "JOINT" | "END":
@@ -161,8 +156,8 @@ def _hierarchy(words: Iterator[str]) -> _Skeleton:
                     if word.upper() == "END":
                         name = f"{skeleton.names[parent] if parent >= 0 else ''} end"
                     if len(skeleton.names) >= LIMITS.bvh_bones or not 0 < len(name) <= 260:
-                        raise _Wrong(
-                            f"has more than {LIMITS.bvh_bones} bones, or one without a name of its own"
+                        raise Unfit(
+                            f"it has more than {LIMITS.bvh_bones} bones, or one without a name of its own"
                         )
                     open_bones.append(len(skeleton.names))
                     skeleton.names.append(_unlike(name, taken))
@@ -174,20 +169,22 @@ def _hierarchy(words: Iterator[str]) -> _Skeleton:
                 case "CHANNELS":
                     named = [next(words).lower() for _ in range(min(int(next(words)), 7))]
                     if len(set(named)) != len(named) or not all(map(_CHANNEL.fullmatch, named)):
-                        raise _Wrong(
-                            f"has the channels {' '.join(named)[:100]}, expected Xposition, Zrotation..."
+                        raise Unfit(
+                            f"it has the channels {' '.join(named)[:100]}, expected Xposition, Zrotation..."
                         )
                     skeleton.channels[open_bones[-1]] = named
                 case "}":
                     open_bones.pop()
                 case _:
-                    raise _Wrong(
-                        f"has {shown(word[:40])!r} where a JOINT, an OFFSET or CHANNELS are expected"
+                    raise Unfit(
+                        f"it has {shown(word[:40])!r} where a JOINT, an OFFSET or CHANNELS are expected"
                     )
+    except Unfit:
+        raise
     except (StopIteration, IndexError, ValueError) as error:
-        raise _Wrong("has a HIERARCHY that is damaged or cut off") from error
+        raise Unfit("it has a HIERARCHY that is damaged or cut off") from error
     if open_bones or not skeleton.names or not (np.abs(np.array(skeleton.offsets)) <= LARGEST).all():
-        raise _Wrong("has a HIERARCHY that is damaged or cut off")
+        raise Unfit("it has a HIERARCHY that is damaged or cut off")
     return skeleton
 
 
@@ -246,28 +243,23 @@ def _up_axis(bones: Bones) -> str:
     return "z" if along[2] > along[1] else "y"
 
 
-_CALLED: Final = {
-    **{"hips": "Hips", "spine": "Spine", "chest": "Spine1", "upperChest": "Spine2"},
-    **{"neck": "Neck", "head": "Head", "Shoulder": "Shoulder", "UpperArm": "Arm", "LowerArm": "ForeArm"},
-    **{"Hand": "Hand", "UpperLeg": "UpLeg", "LowerLeg": "Leg", "Foot": "Foot"},
-    **{finger.title(): f"Hand{'Pinky' if finger == 'little' else finger.title()}" for finger in FINGERS},
-}
-"""MotionBuilder's names by VRM's, without the side and the number of a finger's bone"""
+def _motionbuilders_names() -> dict[str, str]:
+    """MotionBuilder's names of a humanoid's bones by VRM's."""
+    names = {"hips": "Hips", "spine": "Spine", "chest": "Spine1", "upperChest": "Spine2"}
+    names |= {"neck": "Neck", "head": "Head"}
+    parts = {"Shoulder": "Shoulder", "UpperArm": "Arm", "LowerArm": "ForeArm", "Hand": "Hand"}
+    parts |= {"UpperLeg": "UpLeg", "LowerLeg": "Leg", "Foot": "Foot"}
+    for side in SIDES:
+        names |= {f"{side}{part}": f"{side.title()}{called}" for part, called in parts.items()}
+        for finger, joints in FINGER_JOINTS.items():
+            called = f"{side.title()}Hand{'Pinky' if finger == 'little' else finger.title()}"
+            names |= {bone_names(side)[joint]: f"{called}{n}" for n, joint in enumerate(joints, 1)}
+    return names
+
+
 _CENTIMETRES: Final = 100.0
 _GROUND: Final = (0.0, -120.0, -40.0)
 """centimetres from the hands to the ground under a person who may have them"""
-
-
-def _called(name: str) -> str:
-    """MotionBuilder's name of a bone that VRM calls so."""
-    side: Side | None = next((side for side in SIDES if name.startswith(side)), None)
-    if side is None:
-        return _CALLED[name]
-    joint = bone_names(side).index(name) if name in bone_names(side) else 0
-    for finger, joints in FINGER_JOINTS.items():
-        if joint in joints:
-            return f"{side.title()}{_CALLED[finger.title()]}{joints.index(joint) + 1}"
-    return side.title() + _CALLED[name[len(side) :]]
 
 
 def _write(take: Take, path: Path) -> None:
@@ -303,7 +295,7 @@ def _write(take: Take, path: Path) -> None:
             ends[names[last]] = _CENTIMETRES * (tip - target.heads[index[last - 1]])
     bones = {name: (parent, _CENTIMETRES * place) for name, (parent, place) in humanoid_bones(heads).items()}
     ground = np.median(np.concatenate([*wrists.values()]), axis=0) + _GROUND
-    lines = ["HIERARCHY"]
+    lines, called = ["HIERARCHY"], _motionbuilders_names()
     columns: list[np.ndarray] = []
 
     def add(name: str, depth: int) -> None:
@@ -311,7 +303,7 @@ def _write(take: Take, path: Path) -> None:
         step = place - bones[parent][1] if parent else place
         before = "\t" * depth
         moved = name in wrists or not parent
-        lines.extend([f"{before}{'JOINT' if parent else 'ROOT'} {_called(name)}", before + "{"])
+        lines.extend([f"{before}{'JOINT' if parent else 'ROOT'} {called[name]}", before + "{"])
         lines.append(f"{before}\tOFFSET {_words(step)}")
         channels = "6 Xposition Yposition Zposition" if moved else "3"
         lines.append(f"{before}\tCHANNELS {channels} Zrotation Xrotation Yrotation")

@@ -2,43 +2,33 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.common.files import shown
-from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES
+from handfit_core.common.skeleton import SIDES
 from handfit_core.common.values import number, one_of, whole
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.interchange.document import Document, Table
-from handfit_core.interchange.json_points import JsonFrames, hands_in, keyed, objects_in, some_contents
-from handfit_core.interchange.point_hands import ParsedHands, ParsedPoints
+from handfit_core.interchange.frames import (
+    Frames,
+    arrays_of,
+    frames_of_arrays,
+    in_order,
+    objects_in,
+    points_among,
+    some_contents,
+)
+from handfit_core.interchange.json_hands import JsonHand, hands_in, keyed
 from handfit_core.interchange.point_names import XR_NAMES, is_apple, short
-from handfit_core.interchange.point_reader import PointLayout, arrays_of, is_hand_table
-from handfit_core.interchange.settings import LIMITS
-from handfit_core.interchange.table_points import columns_of
-
-# OpenPose
-
-
-def _from_minus_one(frames: JsonFrames) -> bool:
-    """Whether what is told of anybody lies between -1 and 1 (--keypoint_scale 4), where a missing point is at
-    (-1, -1), with the others at (0, 0)."""
-    contents = (content for content in frames.contents if isinstance(content, Mapping))
-    people = [keyed(human) for content in contents for human in content.get("people", ())]
-    lists = [value for human in people for key, value in human.items() if "keypoints" in key and value]
-    if not lists:
-        return False
-    points = np.concatenate([np.array(each, dtype=np.float64).reshape(-1, 3) for each in lists])
-    trusted = points[points[:, 2] > 0.0, :2]
-    missing = points[points[:, 2] == 0.0, :2]
-    at_corner, at_zero = (np.all(missing == place, axis=1).any() for place in (-1.0, 0.0))
-    return bool(at_corner or (not at_zero and np.nanmin(trusted, initial=0.0) < -0.1))
-
+from handfit_core.interchange.point_reader import PointLayout
+from handfit_core.interchange.table_points import columns_of, is_hand_table
 
 OPENPOSE: Final = PointLayout(
     "openpose",
@@ -53,7 +43,7 @@ OPENPOSE: Final = PointLayout(
     met="OpenPose 1.2, in MocapNET (2026-11)",
     assumes="no hands below 0.2 in the mean",
     least=0.2,  # --hand_render_threshold: OpenPose does not draw less sure hands
-    halved=_from_minus_one,
+    halved=True,
     hint="; OpenPose writes hands with --hand",
 )
 
@@ -72,17 +62,27 @@ MMPOSE: Final = PointLayout(
 )
 
 
+def _of_whole_bodies(document: Document) -> bool:
+    """True if COCO's annotations have a whole body's points in one list, as Halpe's do."""
+    if not isinstance(document.json, Mapping):
+        return False
+    told = (each.get("keypoints") for each in objects_in(document.json.get("annotations")))
+    return any(isinstance(points, list) and len(points) in (3 * 133, 3 * 136) for points in told)
+
+
 COCO: Final = PointLayout(
     "coco-wholebody",
     "COCO-WholeBody",
-    "annotations with lefthand_kpts",
+    "annotations with lefthand_kpts, or with Halpe's 136 keypoints",
     "https://github.com/jin-s13/COCO-WholeBody/blob/master/data_format.md",
     marks=("lefthand_kpts righthand_kpts",),
+    recognises=_of_whole_bodies,
     columns="xyc",
     grouped=True,
     people="annotations",
     order="mediapipe",
     persons="told",
+    met="COCO, UBody and Halpe, in MMPose (2026-11)",
     assumes="frames are the pictures' ids",
 )
 
@@ -124,6 +124,7 @@ INTERHAND: Final = PointLayout(
     units={"millimetres": 1e-3},
     up="camera",
     assumed=("its world's axes are taken for the camera's: x right, y down, z away",),
+    met="four frames, in MMPose (2026-11)",
     assumes="the world's axes are the camera's",
 )
 
@@ -217,18 +218,13 @@ APPLE_VISION: Final = PointLayout(
 # MediaPipe
 
 
-def _has_hand(document: Document) -> bool:
-    """Whether JSON has a hand somewhere."""
-    return any(
-        _first_hand(each) for content in some_contents(document) for each in (content, *objects_in(content))
-    )
-
-
-def _first_hand(frame: Any) -> bool:
-    try:
-        return any(True for _ in hands_in(frame, {2: "xy", 3: "xyz", 4: "xyzc"}))
-    except (TypeError, ValueError, AttributeError, OverflowError):
-        return False
+def some_hands(document: Document, hands: Callable[[Any], Any] = lambda each: each) -> Iterator[JsonHand]:
+    """The hands that are told somewhere in JSON, where a `PointLayout` has these `hands` and any columns."""
+    columns = {len(each): each for each in "xy xyz xyzc xyzijkw".split()}
+    for content in some_contents(document):
+        for each in (content, *objects_in(content)):
+            with contextlib.suppress(TypeError, ValueError, AttributeError, OverflowError):
+                yield from hands_in(hands(each), columns)
 
 
 MEDIAPIPE: Final = PointLayout(
@@ -237,7 +233,7 @@ MEDIAPIPE: Final = PointLayout(
     "JSON or CSV with 21 landmarks a hand, of anybody",
     "https://ai.google.dev/edge/mediapipe/solutions/vision/hand_landmarker",
     table=is_hand_table,
-    recognises=_has_hand,
+    recognises=lambda document: any(True for _ in some_hands(document)),
     grouped=True,
     met="MediaPipe (2026-11)",
     assumes="the order, by the bones; the sides, by the fingers",
@@ -249,40 +245,22 @@ MEDIAPIPE: Final = PointLayout(
 _HAND_FILE: Final = re.compile(r"(?:.*_)?(left|right)_hand_(?:3d_xyz|frame_name_xyz)\.npy")
 
 
-def _arrays(document: Document) -> list[tuple[int, Path]]:
-    """Sides and files of hands in a folder, or in its output_data; the file itself."""
+def _of_arrays(document: Document) -> Frames | None:
+    """The frames of a folder's hands, or of those in its output_data."""
     for folder in (document, Document(document.path / "output_data")):
-        files = folder.files(".npy") if folder.is_folder else [document.path]
-        found = [
-            (SIDES.index(match[1]), file)
-            for file in files
-            if (match := _HAND_FILE.fullmatch(file.name.lower()))
-        ]
-        if found or not document.is_folder:
-            return found
-    return []
+        found = _hand_files(folder)
+        if found and document.is_folder:
+            arrays = {
+                name: array for name, file in found.items() if (array := Document(file).npy) is not None
+            }
+            return frames_of_arrays(document, points_among(arrays), 0)
+    return None
 
 
-def _of_arrays(document: Document) -> ParsedPoints | None:
-    """(T, 21, 3) of each hand, if there are such files."""
-    told: list[np.ndarray] = []
-    sides = _arrays(document)
-    for _, file in sides:
-        points = Document(file).npy
-        if points is None or points.ndim != 3 or points.shape[1:] != (NUM_KEYPOINTS, 3):
-            found = "no array" if points is None else f"an array of the shape {points.shape}"
-            raise ValueError(f"{shown(file.name)} is {found}; expected (frames, 21, 3)")
-        told.append(points)
-        LIMITS.check(file, len(points), len(told))
-    if not told:
-        return None
-    count = len(told[0])
-    if any(len(each) != count for each in told):
-        raise ValueError("its left and right hand have different numbers of frames")
-    side = np.repeat([side for side, _ in sides], count)
-    rows, score = np.tile(np.arange(count), len(told)), np.full(len(side), np.nan)
-    hands = ParsedHands.of(rows, side, side, score, np.concatenate(told))
-    return ParsedPoints(np.arange(count), hands, in_space=True)
+def _hand_files(document: Document) -> dict[str, Path]:
+    """A folder's arrays of hands, or the file itself if it is one, by their names."""
+    files = document.files(".npy") if document.is_folder else [document.path]
+    return {file.name: file for file in files if _HAND_FILE.fullmatch(file.name.lower())}
 
 
 def _in_space(table: Table) -> bool:
@@ -309,13 +287,15 @@ FREEMOCAP: Final = PointLayout(
     "https://github.com/freemocap/freemocap/tree/main/freemocap/system/paths_and_filenames",
     table=lambda table: {"keypoint", "trajectory"} <= set(table.columns) or _in_space(table),
     recognises=lambda document: (
-        bool(_arrays(document)) or (document.npy is not None and document.npy.shape[1:] == (553, 3))
+        bool(_hand_files(document) or _hand_files(Document(document.path / "output_data")))
+        or (document.npy is not None and document.npy.shape[1:] == (553, 3))
     ),
     read=_of_arrays,
     order="mediapipe",
     units={"millimetres": 1e-3, "centimetres": 1e-2, "metres": 1.0},
     up="z",
     first=0,
+    met="two right hands, by labrat57 (2026-11)",
     assumes="Z up, Y away from who looks; the unit, by the palm",
     assumed=("Z is up, and Y leads away from who looks",),
 )
@@ -377,35 +357,37 @@ LEAP: Final = PointLayout(
 # This project's own
 
 
-def _own_points(document: Document) -> ParsedPoints:
-    """The hands of docs/interchange.md's JSON, which has a list of frames for each hand."""
+def _own_frames(document: Document) -> Frames:
+    """The frames of docs/interchange.md's JSON, which has a list of them for each hand."""
     header = document.json
     if whole("version", header.get("version"), 1) > 1:
         raise ValueError("a newer version wrote these points; read them with that version")
-    numbers = np.array([whole("frames", n) for n in header["frames"]])
-    hands = [(one_of(*SIDES)("side", hand["side"]), hand) for hand in header["hands"]]
-    size = camera = None
-    if "width" in header:
-        size = whole("width", header["width"], 1, 1 << 24), whole("height", header["height"], 1, 1 << 24)
-    if "intrinsics" in header:
-        said = header["intrinsics"]
-        camera = Intrinsics(*(number(name, said[name]) for name in ("fx", "fy", "cx", "cy")))
-    in_space = bool(hands) and all("keypoints_3d" in hand for _, hand in hands)
-    LIMITS.check(document.path, len(numbers), len(hands))
-    kind, width = ("keypoints_3d", 3) if in_space else ("keypoints_2d", 2)
-    nothing = [None] * width
-    told = np.full((len(hands), len(numbers), NUM_KEYPOINTS, 4), np.nan)
-    for points, (_, hand) in zip(told, hands, strict=True):
-        rows = [[p or nothing for p in (row or [nothing] * NUM_KEYPOINTS)] for row in hand[kind]]
-        shape = (len(numbers), NUM_KEYPOINTS, width)
-        points[..., :width] = np.array(rows, dtype=np.float64).reshape(shape)
-        if "confidence" in hand and not in_space:
-            points[..., 3] = np.nan_to_num(np.array(hand["confidence"], dtype=np.float64))
-    each, row = (index.ravel() for index in np.indices(told.shape[:2]))
-    side = np.array([SIDES.index(side) for side, _ in hands], dtype=int)[each]
-    found = ParsedHands.of(row, side, each, np.full(len(row), np.nan), told.reshape(-1, NUM_KEYPOINTS, 4))
-    fps = number("fps", header["fps"], 1e-3, 1e6) if "fps" in header else 0.0
-    return ParsedPoints(numbers, found, fps, size, camera, in_space)
+    for name in ("width", "height"):
+        whole(name, header.get(name, 1), 1, 1 << 24)
+    number("fps", header.get("fps", 1.0), 1e-3, 1e6)
+    hands, camera = header["hands"], header.get("intrinsics")
+    in_space = bool(hands) and all("keypoints_3d" in hand for hand in hands)
+    kind = "keypoints_3d" if in_space else "keypoints_2d"
+    contents = [
+        [
+            {
+                "side": one_of(*SIDES)("side", hand["side"]),
+                "handnumber": each,
+                "points": hand[kind][row],
+                **(
+                    {"keypoint_scores": hand["confidence"][row]}
+                    if "confidence" in hand and not in_space
+                    else {}
+                ),
+            }
+            for each, hand in enumerate(hands)
+        ]
+        for row in range(len(header["frames"]))
+    ]
+    frames = in_order(document, [whole("frames", n) for n in header["frames"]], contents, keyed(header))
+    if camera is not None:
+        camera = Intrinsics(*(number(name, camera[name]) for name in ("fx", "fy", "cx", "cy")))
+    return replace(frames, in_space=in_space, intrinsics=camera)
 
 
 POINTS: Final = PointLayout(
@@ -416,7 +398,8 @@ POINTS: Final = PointLayout(
     recognises=lambda document: (
         isinstance(document.json, dict) and document.json.get("format") == "handfit-points"
     ),
-    read=_own_points,
+    read=_own_frames,
+    columns="xy xyz",
     order="mediapipe",
     persons="one",
     met="ours",

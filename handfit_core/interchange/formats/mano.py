@@ -18,8 +18,7 @@ _HAMER: Final = ManoLayout(
     files=".*",
     matrices=True,
     mirrored="hands",
-    camera="focal",
-    left_assumed="left hands were taken as the right ones of a mirrored crop, as HaMeR's and WiLoR's are",
+    assumed=("left hands were taken as the right ones of a mirrored crop, as HaMeR's and WiLoR's are",),
     mirrored_by="if they look so, read them with --reader wilor-mini",
 )
 HAMER: Final = mano_reader(
@@ -41,7 +40,7 @@ WILOR_MINI: Final = mano_reader(
         source="https://github.com/warmshao/WiLoR-mini",
         matrices=False,
         mirrored="no",
-        left_assumed="left hands were taken as left ones already, as WiLoR-mini's are",
+        assumed=("left hands were taken as left ones already, as WiLoR-mini's are",),
         mirrored_by="if they look so, read them with --reader hamer",
     ),
 )
@@ -85,7 +84,6 @@ DYN_HAMR: Final = mano_reader(
         needs="global_orient hand_pose transl right",
         rows="tracks",
         mirrored="world",
-        camera="intrinsics",
         mirrored_by="its is_right may be wrong",
     ),
 )
@@ -110,12 +108,12 @@ SMPLX: Final = mano_reader(
         source="https://github.com/nghorbani/amass/blob/master/notebooks/01-AMASS_Visualization.ipynb",
         met="two samples of AMASS (2026-11)",
         # `trans` is the body's; fingers alone tell nothing of where a hand is.
-        keys=f"body=trans present=hands_present {_RATE}",
+        keys=f"body=trans present=hands_present model {_RATE}",
         needs="body_pose SIDE_hand_pose body|fps",
         rows="sides",
         columns={"poses": {156: _body(66), 165: _body(75)}},
         # BEAT2's files are posed with a model that adds the mean; all others' with one that does not.
-        mean_where=("model", "smplx2020"),
+        mean_model="smplx2020",
     ),
     ManoLayout(
         source="https://amass.is.tue.mpg.de",
@@ -150,7 +148,6 @@ SMPLX_KEYWORDS: Final = mano_reader(
         "size=picture_size intrinsics",
         needs="SIDE_global_orient SIDE_hand_pose",
         rows="sides",
-        camera="intrinsics",
     ),
     _KEYWORDS,
     replace(
@@ -247,7 +244,6 @@ HO3D: Final = mano_reader(
         folder="meta",
         files=r"\d+",
         world="OpenGL",
-        camera="intrinsics",
     ),
 )
 FREIHAND: Final = mano_reader(

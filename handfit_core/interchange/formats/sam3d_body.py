@@ -14,13 +14,13 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.common.arrays import LARGEST
-from handfit_core.common.errors import InputError, OptionError
 from handfit_core.common.files import shown
 from handfit_core.common.skeleton import FINGERS, NUM_KEYPOINTS, SIDES, Side
+from handfit_core.common.values import Unfit
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.landmarks import Landmarks
 from handfit_core.interchange.document import Document
+from handfit_core.interchange.mano import numbers
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import PointsHand, ReadOptions, Recording
 from handfit_core.interchange.settings import LIMITS
@@ -45,27 +45,27 @@ def _recognises(document: Document) -> bool:
 
 
 def _read(document: Document, asked: ReadOptions) -> Recording:
-    path, files = shown(document.path), document.files(".npz") or [document.path]
+    files = document.files(".npz") or [document.path]
     found: dict[tuple[int, int], Path] = {}
     for row, file in enumerate(files):
         if (other := found.setdefault(_person_and_frame(file, row, len(files)), file)) is not file:
-            raise InputError(
-                f"{path}: {shown(other.name)} and {shown(file.name)} are of one frame and person; name the "
-                "files FRAME_personNUMBER.npz"
+            raise Unfit(
+                f"{shown(other.name)} and {shown(file.name)} are of one frame and person; name the files "
+                "FRAME_personNUMBER.npz"
             )
     people = sorted({person for person, _ in found})
     if asked.person is not None and asked.person > len(people):
-        raise OptionError(f"{path}: there is no person {asked.person}; there are {len(people)}")
+        raise Unfit(f"there is no person {asked.person}: it has {len(people)}")
     people = people if asked.person is None else people[asked.person - 1 : asked.person]
     found = {of: file for of, file in found.items() if of[0] in people}
-    numbers = np.array(sorted({frame for _, frame in found}))
-    LIMITS.check(document.path, len(numbers), 2 * len(people))
-    points = np.full((len(people), len(numbers), 2, NUM_KEYPOINTS, 3), np.nan)
+    frames = np.array(sorted({frame for _, frame in found}))
+    LIMITS.check(document.path, len(frames), 2 * len(people))
+    points = np.full((len(people), len(frames), 2, NUM_KEYPOINTS, 3), np.nan)
     cameras = np.full((len(found), 3), np.nan)
     for row, ((person, frame), file) in enumerate(found.items()):
         body, cameras[row] = _body(Document(file))
         hands = [body[_FIRST[side] + _OURS] for side in SIDES]
-        points[people.index(person), np.searchsorted(numbers, frame)] = hands
+        points[people.index(person), np.searchsorted(frames, frame)] = hands
     said, size, camera = "the camera is not told: the hands are put before one of their own", None, None
     focal, x, y = np.median(cameras, axis=0).tolist()
     # All files tell one and the same camera
@@ -80,7 +80,7 @@ def _read(document: Document, asked: ReadOptions) -> Recording:
     ]
     named = tuple(str(file.absolute()) for file in files)
     return Recording(
-        "sam3d-body", named, asked.rate, numbers, None, tuple(hands), (), size, camera, assumed=(said,)
+        "sam3d-body", named, asked.rate, frames, None, tuple(hands), (), size, camera, assumed=(said,)
     )
 
 
@@ -92,44 +92,38 @@ def _person_and_frame(file: Path, row: int, count: int) -> tuple[int, int]:
     last = re.findall(r"\d+(?!d)", rest)  # no 3d
     frame = int(last[-1]) if last else 1 if found or count == 1 else row + 1
     if max(frame, person) >= 1 << 31:
-        raise InputError(f"{shown(file)}: the number in this name is too large for a frame's")
+        raise Unfit(f"the number in the name {shown(file.name)} is too large for a frame's")
     return person, frame
 
 
 def _body(document: Document) -> tuple[np.ndarray, np.ndarray]:
     """(70, 3) metres in the camera frame, and (3,) focal length and principal point, pixels, of the camera
-    that sees them; NaN where the file does not say."""
-    path = shown(document.path)
-    if document.npz is None or not _recognises(document):
-        raise InputError(
-            f"{path}: expected a result of SAM 3D Body, with pred_keypoints_3d, pred_cam_t and "
-            f"mhr_model_params; this is {document.found}"
+    that sees them; NaN where the file does not say. Raises Unfit."""
+    name = shown(document.path.name)
+    if not _recognises(document):
+        raise Unfit(
+            f"{name} must have pred_keypoints_3d, pred_cam_t and mhr_model_params, and is {document.found}"
         )
-    told = {name: document.array(name) for name in _SHAPES if name in document.npz}
-    for name, array in told.items():
-        if array.size != np.prod(_SHAPES[name]) or array.shape[-1] != _SHAPES[name][-1]:
-            raise InputError(
-                f"{path}: {name} has the shape {array.shape}, expected {_SHAPES[name]}, one person's of one "
-                "picture"
-            )
-        if not (np.abs(array) <= LARGEST).all():
-            raise InputError(f"{path}: {name} holds numbers that are none, or too large")
-    body = told["pred_keypoints_3d"].reshape(70, 3) + told["pred_cam_t"].reshape(3)
+    told = {}
+    for key, shape in _SHAPES.items():
+        if key in document.names:
+            told[key] = numbers(key, document.array(key), *shape)
+            if len(told[key]) != 1 or not np.isfinite(told[key]).all():
+                raise Unfit(f"{key} must be numbers of one person in one picture, in {name}")
+    body = (told["pred_keypoints_3d"] + told["pred_cam_t"])[0]
     if "pred_keypoints_2d" not in told:
         return body, np.full(3, np.nan)
     if not (body[:, 2] > 0.0).all():
-        raise InputError(
-            f"{path}: pred_keypoints_3d + pred_cam_t lie behind the camera, expected metres with z forward"
-        )
-    seen = told["pred_keypoints_2d"].reshape(70, 2).T.ravel()
+        raise Unfit("pred_keypoints_3d + pred_cam_t lie behind the camera, expected metres with z forward")
+    seen = told["pred_keypoints_2d"][0].T.ravel()
     rays = (body[:, :2] / body[:, 2:]).T.ravel()
     equations = np.column_stack([rays, np.repeat(np.eye(2), 70, axis=0)])
     camera = np.linalg.lstsq(equations, seen, rcond=None)[0]
     # Pixels that points in the plane may lie off those in space seen through one camera
     if np.abs(equations @ camera - seen).max() > 2.0:
-        raise InputError(
-            f"{path}: pred_keypoints_2d are not where one camera sees pred_keypoints_3d + pred_cam_t; are "
-            "both of the same person and picture?"
+        raise Unfit(
+            "pred_keypoints_2d are not where one camera sees pred_keypoints_3d + pred_cam_t; are both of the "
+            "same person and picture?"
         )
     return body, np.asarray(camera)
 

@@ -390,7 +390,7 @@ def test_arms_are_stopped_as_hands_are(samples):
     seen: list[Progress] = []
     stop = lambda: len(seen) > 1  # noqa: E731
     take = capture(photo, arms=True, progress=seen.append, should_stop=stop)
-    assert [p.stage for p in seen][:2] == ["detect", "detect"]
+    assert [p.stage for p in seen][:2] == ["detect", "arms"]
     assert take.hands
     assert not any(hand.arm or hand.no_arm for hand in take.hands)
     with pytest.raises(Cancelled, match="stopped before the arms were found"):

@@ -3,8 +3,7 @@
 import contextlib
 import io
 import pickle
-import tracemalloc
-from collections import OrderedDict, defaultdict
+from collections import defaultdict
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 
 from handfit_core.common import safe_pickle
 from handfit_core.interchange.document import Document
-from tests.torch_files import KINDS, SYSTEM, Storage, Tensor, older_torch, tensors_in_pickle
+from tests.torch_files import KINDS, SYSTEM, Storage, Tensor, older_torch
 
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
@@ -85,26 +84,6 @@ def test_what_would_take_long_is_refused(data):
         safe_pickle.load(b"\x80\x02" + data)
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
-        text("a" * 200_000) + b"q\x000" + (b"c_codecs\nencode\nh\x00" + text("latin1") + b"\x86R") * 400,
-        b"(" + b"N" * 20_000 + b"tq\x000" + (ASKED + b"h\x00R") * 400,
-        b"}" + text("a") + b")" + b"\x85" * 50_000 + b"s",
-        b"\x8f()" + b"\x85" * 50_000 + b"\x90",
-        ASKED + b"q\x000N" + b"\x85q\x010h\x00h\x01R" * 9_000,
-    ],
-    ids=["text", "arguments", "tuples", "set", "calls"],
-)
-def test_what_is_named_again_and_again_takes_nothing(data):
-    tracemalloc.start()
-    try:
-        safe_pickle.load(b"\x80\x04" + data + b".")
-        assert tracemalloc.get_traced_memory()[1] < 12_000_000
-    finally:
-        tracemalloc.stop()
-
-
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
 def test_plain_values(protocol):
     held = {
@@ -146,29 +125,6 @@ def test_plain_ends(monkeypatch):
 
 def read(data: bytes) -> Any:
     return safe_pickle.plain(safe_pickle.load(data))
-
-
-@pytest.mark.parametrize("write", [older_torch, tensors_in_pickle])
-def test_tensors(write):
-    numbers = np.arange(24.0)
-    storage = Storage("Double", numbers.tobytes(), 24)
-    laid = {
-        "whole": (Tensor(storage, (4, 6), (6, 1)), numbers.reshape(4, 6)),
-        "transposed": (Tensor(storage, (6, 4), (1, 6), parameter=True), numbers.reshape(4, 6).T),
-        "part": (Tensor(storage, (2, 3), (6, 2), 7), numbers.reshape(4, 6)[1:3, 1::2]),
-        "expanded": (Tensor(storage, (5, 3), (0, 1), 21), np.tile(numbers[21:], (5, 1))),
-        "number": (Tensor(storage, (), (), 23), np.array(23.0)),
-        "none": (Tensor(storage, (0, 3), (3, 1), 24), np.zeros((0, 3))),
-        "bfloat16": (
-            Tensor(Storage("BFloat16", b"\x80\x3f\x20\xc0", 2), (2,), (1,)),
-            np.array([1, -2.5], np.float32),
-        ),
-        **{kind: (array, array) for kind in KINDS for array in [np.array([[0, 1], [1, 0]], kind)]},
-    }
-    found = read(write(OrderedDict((name, each) for name, (each, _) in laid.items())))
-    for name, (_, expected) in laid.items():
-        np.testing.assert_array_equal(found[name], expected, name)
-        assert (found[name].dtype, found[name].shape) == (expected.dtype, expected.shape)
 
 
 FOUR = Storage("Float", bytes(16), 4)
@@ -253,10 +209,9 @@ def test_torch_as_it_writes(tmp_path, kind):
         "expanded": numbers[:1].expand(3, 6),
         "parameter": torch.nn.Parameter(numbers),
         "number": torch.tensor(2.5),
-        **{
-            str(kind): (numbers > 3).to(kind)
-            for kind in (torch.float16, torch.float64, torch.int64, torch.bool)
-        },
+        "none": torch.zeros((0, 3)),
+        "half of a float": torch.tensor([1.0, -2.5], dtype=torch.bfloat16),
+        **{kind: torch.from_numpy(np.array([[0, 1], [1, 0]], kind)) for kind in KINDS},
     }
     path, other = tmp_path / "a.pt", {"size": numbers.shape, "kind": torch.float32, "device": numbers.device}
     if kind in ("zip", "older"):
@@ -267,5 +222,8 @@ def test_torch_as_it_writes(tmp_path, kind):
         pytest.importorskip("joblib").dump(held | other, path, compress=3)
     found = Document(path).objects
     for name, tensor in held.items():
-        np.testing.assert_array_equal(found[name], tensor.detach().numpy(), name)
+        expected = tensor.detach()
+        expected = (expected.float() if expected.dtype == torch.bfloat16 else expected).numpy()
+        np.testing.assert_array_equal(found[name], expected, name)
+        assert (found[name].dtype, found[name].shape) == (expected.dtype, expected.shape)
     assert [found[name] for name in other] == [None, None, None]

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from handfit_core.detect.crops import Crop, downscale
-from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.search import tiles
 
 SQUARES = [(0.0, False), (np.pi / 2, False), (-np.pi / 4, True), (2.5, True)]
@@ -20,16 +19,10 @@ def test_to_the_crop_and_back(turn, mirrored):
     assert crop.mirrored == mirrored
     linear = np.eye(3) * crop.scale
     linear[:2, :2] = crop.linear
-    predicted = Detections.hand(
-        "right" if mirrored else "left",
-        0.8,
-        keypoints @ linear.T + [*crop.offset, 0.0],
-        world @ linear.T / crop.scale,
-    )
-    back = crop.to_picture(predicted)
-    assert (back.side, back.score) == (0, 0.8)
-    np.testing.assert_allclose(back.keypoints[0], keypoints, atol=1e-9)
-    np.testing.assert_allclose(back.world[0], world, atol=1e-12)
+    back = crop.points_to_picture(keypoints @ linear.T + [*crop.offset, 0.0])
+    np.testing.assert_allclose(back, keypoints, atol=1e-9)
+    back = crop.world_to_picture(world @ linear.T / crop.scale)
+    np.testing.assert_allclose(back, world, atol=1e-12)
 
 
 @pytest.mark.parametrize(("turn", "mirrored"), SQUARES)

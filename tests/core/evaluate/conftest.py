@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from handfit_core.evaluate import kept
+from handfit_core.evaluate import cache as module
 
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where detections and fits are kept, instead of the user's cache."""
-    monkeypatch.setattr(kept, "cache_dir", lambda: tmp_path / "cache")
+    """The folder of detections and fits, instead of the user's cache."""
+    monkeypatch.setattr(module, "cache_dir", lambda: tmp_path / "cache")
     return tmp_path / "cache"

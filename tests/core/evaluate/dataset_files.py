@@ -43,8 +43,9 @@ def hand(seed: int = 0, points: int = 21) -> np.ndarray:
 
 
 def pixels(points: np.ndarray, matrix: Any = K) -> np.ndarray:
-    """Projection by the matrix itself, not by our camera."""
-    homogeneous = points @ np.array(matrix).T
+    """Projection by a matrix (3, 3 or 4) itself, not by our camera."""
+    turn, shift = np.array(matrix)[:, :3], np.array(matrix)[:, 3:].sum(axis=1)
+    homogeneous = points @ turn.T + shift
     return homogeneous[:, :2] / homogeneous[:, 2:]
 
 
@@ -64,13 +65,8 @@ def reason(entry: Entry) -> str:
     raise AssertionError(f"{entry.name} can be read")
 
 
-def write_tips(path: Path, frames: np.ndarray, *, blank: str = "") -> Path:
-    """(N, 5, 3) numbers -> the `x, y, z;` lines of EgoDexter and Dexter+Object; NaN as `blank`."""
+def write_tips(path: Path, frames: np.ndarray) -> None:
+    """(N, 5, 3) numbers -> the `x, y, z;` lines of EgoDexter and Dexter+Object; NaN is left empty."""
     path.parent.mkdir(parents=True, exist_ok=True)
-
-    def number(value: float) -> str:
-        return blank if np.isnan(value) else f"{value:.6f}"
-
-    lines = ["".join(", ".join(map(number, tip)) + "; " for tip in frame) for frame in frames]
-    path.write_text("\n".join(lines) + "\n")
-    return path
+    texts = np.where(np.isnan(frames), "", np.char.mod("%.6f", frames)).tolist()
+    path.write_text("\n".join("".join(", ".join(tip) + "; " for tip in frame) for frame in texts) + "\n")

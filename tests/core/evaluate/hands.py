@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from handfit_core.common.skeleton import Side
 from handfit_core.detect.keypoints import Detections
+from handfit_core.evaluate import ProtocolName
 from handfit_core.evaluate.detections import UnitDetections
-from handfit_core.evaluate.labels import Entry, HandLabel, Labels
+from handfit_core.evaluate.labels import Entry, HandLabel, Labels, units_of
+from handfit_core.evaluate.rows import Rows, rows_of
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model import load_model
@@ -60,3 +63,14 @@ def entry(
 def found(*frames: tuple[Detections, ...]) -> UnitDetections:
     """What was detected in a unit's pictures."""
     return UnitDetections(Detections.of(frames), np.tile([WIDTH, HEIGHT], (len(frames), 1)))
+
+
+def rows(
+    entries: Sequence[Entry],
+    *detections: UnitDetections,
+    protocol: ProtocolName = "strict",
+    camera: str = "assumed",
+) -> Rows:
+    """The labelled hands of units in which these detections were made."""
+    made = iter(detections)
+    return rows_of(units_of(entries), lambda _: next(made), protocol=protocol, camera=camera)

@@ -40,8 +40,8 @@ def make_scores(
 ) -> Scores:
     """N rows: every hand detected, predictions with `noise` metres per axis, no meshes, stills.
 
-    overrides: any field of Scores or column of its `hands`. Where `detected` is False, predictions become
-    NaN; errors follow from points and labels by `evaluate.metrics` unless they are overridden too.
+    overrides: any field of Scores, some of its `errors` or columns of its `hands`. Where `detected` is False,
+    predictions become NaN; other errors follow from points and labels by `evaluate.metrics`.
     `min_points` is EPE's: the paper protocol has 1.
     """
     labels = np.asarray(overrides.pop("labels_3d", make_hands(n, seed)), dtype=np.float64)
@@ -62,6 +62,7 @@ def make_scores(
         **dict.fromkeys(("pa_mpvpe", "f5", "penetration", "expected_error"), np.full(n, np.nan)),
         "fit_ms": np.where(detected, 5.0, np.nan),
     }
+    planted = overrides.pop("errors", {})
     columns = {name: list(overrides.pop(name)) for name in hands if name in overrides}
     fields: dict[str, Any] = {
         "method": "made",
@@ -69,20 +70,21 @@ def make_scores(
         "hands": pd.DataFrame(hands | columns),
         "labels_3d": labels,
         "points_3d": points,
+    }
+    errors = {
         "epe": 1000.0 * metrics.centroid_aligned_distances(points, labels, min_points=min_points),
-        "root_error": 1000.0 * metrics.root_aligned_distances(points, labels),
-        "pa_error": 1000.0 * metrics.similarity_aligned_distances(points, labels),
+        "mpjpe": 1000.0 * metrics.root_aligned_distances(points, labels),
+        "pa_mpjpe": 1000.0 * metrics.similarity_aligned_distances(points, labels),
         "error_2d": metrics.distances_2d(pixels, CAMERA.project(labels)),
     }
-    return Scores(**{**fields, **overrides})
+    return Scores(**fields | overrides, errors=errors | planted)
 
 
 def with_errors(per_hand: Sequence[float] | np.ndarray, **overrides: Any) -> Scores:
     """Scores whose PA error is (N,) mm on every point of hand n."""
     labels = np.repeat(make_hands(1), len(per_hand), axis=0)
-    return make_scores(
-        pa_error=np.tile(np.array(per_hand)[:, None], 21), **{"labels_3d": labels, **overrides}
-    )
+    errors = {"pa_mpjpe": np.tile(np.array(per_hand)[:, None], 21)}
+    return make_scores(errors=errors, **{"labels_3d": labels, **overrides})
 
 
 def make_evaluation(*, protocol: ProtocolName = "strict", **fields: Any) -> Evaluation:

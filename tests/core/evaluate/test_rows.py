@@ -12,30 +12,25 @@ from handfit_core.detect.keypoints import Detections
 from handfit_core.evaluate.detections import UnitDetections
 from handfit_core.evaluate.labels import Entry, Labels, units_of
 from handfit_core.evaluate.methods import TrackResult
-from handfit_core.evaluate.rows import label_pixels, match, rows_of
+from handfit_core.evaluate.rows import label_pixels, match
 from handfit_core.evaluate.scoring import score
 from handfit_core.evaluate.summary import summarise
 from handfit_core.geometry.camera import Intrinsics
-from tests.core.evaluate.hands import CAMERA, HEIGHT, WIDTH, entry, found, joints, label, seen
+from tests.core.evaluate.hands import CAMERA, HEIGHT, WIDTH, entry, found, joints, label, rows, seen
 
 TRUTH = joints()
 AWAY = joints(at=(-0.15, 0.08, 0.5))
 
 
-def strict_rows(entries, *detections: UnitDetections, camera: str = "assumed"):
-    made = iter(detections)
-    return rows_of(units_of(entries), lambda _: next(made), protocol="strict", camera=camera)
-
-
 def test_a_detection_of_nothing_labelled_is_an_extra_hand() -> None:
-    made = strict_rows([entry("a", label(TRUTH))], found((seen(AWAY), seen(TRUTH))))
+    made = rows([entry("a", label(TRUTH))], found((seen(AWAY), seen(TRUTH))))
     assert (made.pictures, made.extra_hands, len(made.listed)) == (1, 1, 1)
     detections = made.tracks[made.listed[0]["track"]].track.detections
     np.testing.assert_allclose(detections.keypoints_2d[0], CAMERA.project(TRUTH))
 
 
 def test_a_wrong_side_shows_in_handedness_alone() -> None:
-    made = strict_rows([entry("a", label(TRUTH, "right"))], found((seen(TRUTH, "left"),)))
+    made = rows([entry("a", label(TRUTH, "right"))], found((seen(TRUTH, "left"),)))
     result = TrackResult.of_points(TRUTH[None], seen(TRUTH).keypoints)
     summary = summarise(score("m", result, made, "strict"), "strict")
     assert summary["handedness"] == 0.0
@@ -44,20 +39,20 @@ def test_a_wrong_side_shows_in_handedness_alone() -> None:
 
 
 def test_two_labelled_hands_are_two_rows_and_one_may_be_missed() -> None:
-    made = strict_rows([entry("a", label(TRUTH), label(AWAY, "left"))], found((seen(AWAY, "left"),)))
+    made = rows([entry("a", label(TRUTH), label(AWAY, "left"))], found((seen(AWAY, "left"),)))
     assert [(row["hand"], row["track"]) for row in made.listed] == [(0, -1), (1, 0)]
     assert made.extra_hands == 0
 
 
 def test_a_clip_is_one_track_and_a_frame_without_a_hand_is_a_miss() -> None:
     frames = [entry(f"{i}", label(TRUTH), clip="walk", time=i / 25) for i in range(3)]
-    made = strict_rows(frames, found((seen(TRUTH),), (), (seen(TRUTH),)))
+    made = rows(frames, found((seen(TRUTH),), (), (seen(TRUTH),)))
     assert len(made.tracks) == 1
     assert [row["track"] for row in made.listed] == [0, -1, 0]
     assert [row["frame"] for row in made.listed] == [0, 1, 2]
     # A frame that cannot be read is none.
     dark = UnitDetections(Detections.of([[], [seen(TRUTH)]]), np.array([[0, 0], [WIDTH, HEIGHT]]))
-    made = strict_rows(frames[:2], dark)
+    made = rows(frames[:2], dark)
     assert [row["sample"] for row in made.listed] == ["1"]
     assert [(p.kind, p.where) for p in made.problems] == [("picture cannot be read", "0")]
 
@@ -74,7 +69,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_goes_on() -> None:
         entry("good", label(TRUTH)),
     ]
     unreadable = UnitDetections(Detections.of([[]]), np.zeros((1, 2), dtype=int))
-    made = strict_rows(entries, unreadable, found((seen(TRUTH),)))
+    made = rows(entries, unreadable, found((seen(TRUTH),)))
     assert [row["sample"] for row in made.listed] == ["good"]
     assert [(p.kind, p.where.split(":")[0]) for p in made.problems] == [
         ("labels cannot be read", "damaged"),
@@ -85,16 +80,16 @@ def test_what_cannot_be_used_is_named_and_the_rest_goes_on() -> None:
 
 
 def test_solvers_are_told_the_true_camera_only_if_asked() -> None:
-    assumed = strict_rows([entry("a", label(TRUTH))], found((seen(TRUTH),)))
+    assumed = rows([entry("a", label(TRUTH))], found((seen(TRUTH),)))
     assert assumed.tracks[0].intrinsics == Intrinsics.assumed(WIDTH, HEIGHT)
-    told = strict_rows([entry("a", label(TRUTH))], found((seen(TRUTH),)), camera="labelled")
+    told = rows([entry("a", label(TRUTH))], found((seen(TRUTH),)), camera="labelled")
     assert told.tracks[0].intrinsics == CAMERA
-    unknown = strict_rows([entry("a", label(TRUTH), camera=None)], found((seen(TRUTH),)), camera="labelled")
+    unknown = rows([entry("a", label(TRUTH), camera=None)], found((seen(TRUTH),)), camera="labelled")
     assert unknown.tracks[0].intrinsics == Intrinsics.assumed(WIDTH, HEIGHT)
     assert [p.kind for p in unknown.problems] == ["camera missing: one is assumed"]
     zoomed = Intrinsics(900.0, 900.0, 320.0, 240.0)
     frames = [entry(str(c.fx), label(TRUTH), camera=c, clip="zoom", time=c.fx / 25) for c in (CAMERA, zoomed)]
-    changed = strict_rows(frames, found((seen(TRUTH),), (seen(TRUTH),)), camera="labelled")
+    changed = rows(frames, found((seen(TRUTH),), (seen(TRUTH),)), camera="labelled")
     assert changed.tracks[0].intrinsics == CAMERA
     assert [(p.kind, p.where) for p in changed.problems] == [
         ("camera changes within the clip: its first one is used throughout", "900.0")
@@ -102,9 +97,7 @@ def test_solvers_are_told_the_true_camera_only_if_asked() -> None:
 
 
 def test_whatever_is_found_in_a_picture_without_hands_is_extra() -> None:
-    made = strict_rows(
-        [entry("table"), entry("a", label(TRUTH))], found((seen(AWAY),)), found((seen(TRUTH),))
-    )
+    made = rows([entry("table"), entry("a", label(TRUTH))], found((seen(AWAY),)), found((seen(TRUTH),)))
     assert (made.pictures, made.extra_hands, len(made.listed)) == (2, 1, 1)
     assert made.problems == []
 

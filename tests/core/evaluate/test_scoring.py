@@ -10,10 +10,9 @@ import pytest
 from handfit_core.common.errors import DatasetError
 from handfit_core.common.skeleton import SIDES, TIP_KEYPOINTS, Side
 from handfit_core.evaluate import ProtocolName
-from handfit_core.evaluate.detections import UnitDetections
-from handfit_core.evaluate.labels import Entry, HandLabel, MeshLabel, Problem, units_of
+from handfit_core.evaluate.labels import HandLabel, MeshLabel, Problem
 from handfit_core.evaluate.methods import TrackResult
-from handfit_core.evaluate.rows import Rows, rows_of
+from handfit_core.evaluate.rows import Rows
 from handfit_core.evaluate.scores import Scores
 from handfit_core.evaluate.scoring import (
     baselines,
@@ -24,7 +23,7 @@ from handfit_core.evaluate.scoring import (
 from handfit_core.evaluate.summary import summarise
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel, load_model
-from tests.core.evaluate.hands import CAMERA, entry, found, joints, label, seen
+from tests.core.evaluate.hands import CAMERA, entry, found, joints, label, rows, seen
 
 RIGHT, LEFT = load_model(None, "right"), load_model(None, "left")
 DIGESTS = frozenset({RIGHT.digest, LEFT.digest})
@@ -39,10 +38,7 @@ def surface(model: HandModel = RIGHT, pose: np.ndarray | None = None):
 def rows_with(mesh: MeshLabel | None, side: Side = "right") -> Rows:
     hand = label(surface().keypoints)
     hand = HandLabel(hand.side, hand.joints_3d, hand.keypoints_2d, mesh)
-    seen_as = seen(surface().keypoints, side)
-    return rows_of(
-        units_of([entry("a", hand)]), lambda _: found((seen_as,)), protocol="strict", camera="assumed"
-    )
+    return rows([entry("a", hand)], found((seen(surface().keypoints, side),)))
 
 
 def with_mesh(
@@ -85,7 +81,7 @@ def test_a_mesh_that_cannot_be_read_is_named_once_and_the_joints_are_scored() ->
     for _ in range(2):  # two methods
         made = with_mesh(MeshLabel(damaged), problems=problems)
     assert np.isnan(made.hands["f5"][0])
-    assert made.pa_error[0].max() < 1e-6
+    assert made.errors["pa_mpjpe"][0].max() < 1e-6
     assert [(p.kind, p.where) for p in problems] == [
         ("mesh cannot be read", "a: evaluation_verts.json: entry 7 is null")
     ]
@@ -102,12 +98,7 @@ def test_how_deep_a_fitted_hand_stands_in_itself() -> None:
 def test_rows_take_their_tracks_frames_and_misses_are_nan() -> None:
     truth = joints()
     frames = [entry(f"{i}", label(truth), clip="a", time=i / 25) for i in range(3)]
-    made = rows_of(
-        units_of(frames),
-        lambda _: found((seen(truth),), (), (seen(truth),)),
-        protocol="strict",
-        camera="assumed",
-    )
+    made = rows(frames, found((seen(truth),), (), (seen(truth),)))
     points = np.arange(3.0)[:, None, None] * np.ones((3, 21, 3))
     result = results_of_rows(made, [TrackResult.of_points(points, points, np.arange(3.0))])
     np.testing.assert_array_equal(result.milliseconds, [0.0, np.nan, 2.0])
@@ -134,11 +125,6 @@ TIPS = list(TIP_KEYPOINTS)
 PROTOCOLS: tuple[ProtocolName, ...] = ("paper", "strict")
 
 
-def rows(entries: Sequence[Entry], detections: Sequence[UnitDetections], protocol: ProtocolName) -> Rows:
-    made = iter(detections)
-    return rows_of(units_of(entries), lambda _: next(made), protocol=protocol, camera="assumed")
-
-
 def scored(
     labels: np.ndarray | Sequence[np.ndarray],
     points: np.ndarray,
@@ -152,7 +138,7 @@ def scored(
     detections = [found((seen(points, camera=camera),))] * len(entries)
     if picture_points is None:
         picture_points = seen(points, camera=camera).keypoints[0]
-    return of_all(rows(entries, detections, protocol), points, picture_points, protocol)
+    return of_all(rows(entries, *detections, protocol=protocol), points, picture_points, protocol)
 
 
 def of_all(made: Rows, points: np.ndarray, picture_points: np.ndarray, protocol: ProtocolName) -> Scores:
@@ -187,7 +173,7 @@ def test_misses_vanish_in_the_paper_and_are_wrong_in_strict() -> None:
     detections = [found((seen(truth),)), found(()), found(()), found(())]
     summaries = {}
     for protocol in PROTOCOLS:
-        made = rows(entries, detections, protocol)
+        made = rows(entries, *detections, protocol=protocol)
         scores = of_all(made, truth, seen(truth).keypoints[0], protocol)
         summaries[protocol] = summarise(scores, protocol)
         assert summaries[protocol]["detection_rate"] == 25.0
@@ -230,7 +216,7 @@ def test_true_depth_and_camera_hide_a_wrong_size_in_the_paper_only() -> None:
 def test_every_hand_is_a_left_one_in_the_paper() -> None:
     truth = joints("right")
     for protocol, side in (("paper", "left"), ("strict", "right")):
-        made = rows([entry("a", label(truth, "right"))], [found((seen(truth, "right"),))], protocol)
+        made = rows([entry("a", label(truth, "right"))], found((seen(truth, "right"),)), protocol=protocol)
         assert [view.track.side for view in made.tracks] == [side]
         assert made.listed[0]["side_correct"] == (side == "right")
 
@@ -241,12 +227,12 @@ def test_joints_mix_in_the_paper_where_a_tip_has_no_label() -> None:
     moved[TIPS[1]] += [0.03, 0.0, 0.0]
     without_thumb = only(truth, TIPS[1:])
     scores = scored([only(truth, TIPS), without_thumb], moved, "paper")
-    errors = [row[~np.isnan(row)] for row in scores.epe]
+    errors = [row[~np.isnan(row)] for row in scores.errors["epe"]]
     # The index finger's error is filed under the thumb wherever the thumb has no label.
     by_position = [*np.mean([errors[0][:4], errors[1]], axis=0), errors[0][4]]
     assert summarise(scores, "paper")["epe"] == pytest.approx(np.mean(by_position))
     strict = scored([only(truth, TIPS), without_thumb], moved, "strict")
-    assert summarise(strict, "strict")["epe"] == pytest.approx(np.nanmean(strict.epe))
+    assert summarise(strict, "strict")["epe"] == pytest.approx(np.nanmean(strict.errors["epe"]))
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
@@ -254,13 +240,13 @@ def test_null_baselines_score_what_facts_say(protocol: ProtocolName) -> None:
     five, one = only(joints(), TIPS), only(joints(), TIPS[:1])
     summaries = []
     for truth in (five, one):
-        made = rows([entry("a", label(truth))], [found((seen(joints()),))], protocol)
+        made = rows([entry("a", label(truth))], found((seen(joints()),)), protocol=protocol)
         null = baselines(made, protocol, None)["null-centroid"]
         scores = score("null-centroid", null, made, protocol, is_baseline=True)
         summaries.append(summarise(scores, protocol))
         if truth is five:
             spread = 1000 * np.linalg.norm(five[TIPS] - five[TIPS].mean(axis=0), axis=1)
-            np.testing.assert_allclose(scores.epe[0, TIPS], spread, rtol=1e-6)
+            np.testing.assert_allclose(scores.errors["epe"][0, TIPS], spread, rtol=1e-6)
     assert 0.2 < summaries[0]["auc"] < 0.8
     assert summaries[1]["auc"] == pytest.approx(1.0) if protocol == "paper" else np.isnan(summaries[1]["auc"])
 
@@ -272,7 +258,7 @@ def test_what_the_paper_drops_is_named() -> None:
         entry("dark", label(truth), camera=None),
         entry("second", nothing, label(truth)),  # its first hand whose tips are labelled
     ]
-    made = rows(entries, [found((seen(truth),))] * 3, "paper")
+    made = rows(entries, *[found((seen(truth),))] * 3, protocol="paper")
     assert [(row["sample"], row["hand"]) for row in made.listed] == [("second", 1)]
     assert [(p.kind, p.where) for p in made.problems] == [
         ("no labelled fingertip: dropped as in the paper", "palm only"),

@@ -39,7 +39,7 @@ def test_strict_values_by_a_loop() -> None:
         rows = [[float(e) for e in row if not math.isnan(e)] for row in errors]
         return [row for row in rows if row]
 
-    epe, root, pa = hands(scores.epe), hands(scores.root_error), hands(scores.pa_error)
+    epe, root, pa, flat = (hands(scores.errors[key]) for key in ("epe", "mpjpe", "pa_mpjpe", "error_2d"))
     assert [len(hand) for hand in epe] == [21, 16, 20]  # a wrist alone is no hand
     assert [len(hand) for hand in root] == [21, 16]
     assert [len(hand) for hand in pa] == [21, 16, 20]
@@ -50,7 +50,7 @@ def test_strict_values_by_a_loop() -> None:
         "pa_mpjpe_median": np.median([np.mean(hand) for hand in pa]),
         "auc": area_by_loop(list(chain(*epe)), misses=21),
         "auc_root": area_by_loop(list(chain(*root)), misses=21),
-        "error_2d": 100 * np.mean([np.mean(hand) for hand in hands(scores.error_2d)]),
+        "error_2d": 100 * np.mean([np.mean(hand) for hand in flat]),
     }
     assert {key: found[key] for key in expected} == pytest.approx(expected)
 
@@ -78,7 +78,7 @@ def test_how_well_solvers_doubt_themselves() -> None:
     scores = make_scores(
         6,
         detected=np.isfinite(off),
-        pa_error=np.repeat(off[:, None], 21, axis=1),
+        errors={"pa_mpjpe": np.repeat(off[:, None], 21, axis=1)},
         expected_error=np.array([5.0, 13.0, np.nan, 11.0, 25.0, 40.0]),
     )
     found = summarise(scores, "strict")
@@ -172,7 +172,7 @@ def test_a_known_difference_is_found() -> None:
     found = compare(first, second, "pa_mpjpe")
     assert (found.first, found.second, found.metric) == ("first", "second", "pa_mpjpe")
     assert (found.hands, found.units) == (200, 200)
-    assert found.difference == pytest.approx((first.pa_error - second.pa_error).mean())
+    assert found.difference == pytest.approx((first.errors["pa_mpjpe"] - second.errors["pa_mpjpe"]).mean())
     assert found.low < 2.0 < found.high
     # Single, equal observations: the normal interval, 1.96 standard errors, is as good.
     assert found.high - found.low == pytest.approx(2 * 1.96 / math.sqrt(200), rel=0.15)

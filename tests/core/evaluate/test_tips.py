@@ -9,7 +9,7 @@ import pytest
 
 from handfit_core.common.errors import DatasetError
 from handfit_core.evaluate.datasets import open_dataset
-from tests.core.evaluate.dataset_files import labels_of, touch, write_tips
+from tests.core.evaluate.dataset_files import labels_of, pixels, touch, write_tips
 
 TIPS = [4, 8, 12, 16, 20]
 EGO = ("Desk", "Fruits", "Kitchen", "Rotunda")
@@ -37,10 +37,10 @@ def pictures(root: Path, sequence: str, numbers: range | list[int]) -> None:
     touch(*(root / "data" / sequence / "color" / f"image_{n:05d}_color.png" for n in numbers))
 
 
-def write_ego(root: Path, truth: np.ndarray, name: str = "annotation.txt_3D.txt", blank: str = "") -> Path:
+def write_ego(root: Path, truth: np.ndarray, name: str = "annotation.txt_3D.txt") -> Path:
     for sequence in EGO:
         pictures(root, sequence, range(len(truth)))
-        write_tips(root / "data" / sequence / name, truth, blank=blank)
+        write_tips(root / "data" / sequence / name, truth)
     return root
 
 
@@ -53,11 +53,6 @@ def write_dexter(root: Path, truth: np.ndarray, *, cleaned: bool = False, inside
     return root
 
 
-def projected(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    homogeneous = np.c_[points, np.ones(len(points))] @ matrix.T
-    return homogeneous[:, :2] / homogeneous[:, 2:]
-
-
 def test_egodexter(tmp_path: Path) -> None:
     truth = frames(3)
     dataset = open_dataset(write_ego(tmp_path, truth))
@@ -68,7 +63,7 @@ def test_egodexter(tmp_path: Path) -> None:
     assert (entry.name, entry.time) == ("Fruits/image_00002_color", 2 / 30)
     label, points = labels_of(entry)
     assert label.side == "left"
-    np.testing.assert_allclose(points[TIPS], projected(EGO_M, truth[2]), atol=1e-6)
+    np.testing.assert_allclose(points[TIPS], pixels(truth[2], EGO_M), atol=1e-6)
     assert np.isnan(np.delete(label.joints_3d, TIPS, axis=0)).all()
 
 
@@ -79,7 +74,7 @@ def test_dexter_object_is_written_with_the_opposite_sign(tmp_path: Path) -> None
     assert [e.clip for e in dataset.entries[::2]] == list(DEXTER)
     label, points = labels_of(dataset.entries[1])
     assert label.side == "left"
-    np.testing.assert_allclose(points[TIPS], projected(DEXTER_M, truth[1]), atol=1e-6)
+    np.testing.assert_allclose(points[TIPS], pixels(truth[1], DEXTER_M), atol=1e-6)
     # The calibration's turn and shift, in metres.
     shift = label.joints_3d[TIPS] * 1000 - truth[1]
     np.testing.assert_allclose(shift, np.tile([19 + 7.2, -1.9 - 3.6, -4.8], (5, 1)), atol=3)
@@ -121,7 +116,7 @@ def test_both_variants_of_dexter_object(tmp_path: Path, inside: bool) -> None:
     write_dexter(tmp_path, cleaned, cleaned=True, inside=inside)
     for labels, truth in ((None, cleaned), ("cleaned", cleaned), ("original", original)):
         _, points = labels_of(open_dataset(tmp_path, labels=labels).entries[0])
-        np.testing.assert_allclose(points[TIPS], projected(DEXTER_M, truth[0]), atol=1e-6)
+        np.testing.assert_allclose(points[TIPS], pixels(truth[0], DEXTER_M), atol=1e-6)
     (tmp_path / ("data/Rigid" if inside else "") / "annotations" / "my_Rigid3D.txt").unlink()
     # Labels are not mixed: one sequence without cleaned labels, and the original ones are taken.
     assert open_dataset(tmp_path).name == "Dexter+Object (original labels)"
@@ -136,7 +131,7 @@ def test_pixels_of_the_depth_picture_are_not_taken_for_points(tmp_path: Path) ->
     # Where it does hold points, it is the label file.
     truth = frames(1)
     _, points = labels_of(open_dataset(write_ego(tmp_path, truth, "annotation.txt")).entries[0])
-    np.testing.assert_allclose(points[TIPS], projected(EGO_M, truth[0]), atol=1e-6)
+    np.testing.assert_allclose(points[TIPS], pixels(truth[0], EGO_M), atol=1e-6)
 
 
 def test_a_missing_picture_shifts_no_label(tmp_path: Path) -> None:
@@ -151,7 +146,7 @@ def test_a_missing_picture_shifts_no_label(tmp_path: Path) -> None:
         desk = [e for e in dataset.entries if e.clip == "Desk"]
         assert [e.time for e in desk] == pytest.approx([0, 2 / 30, 3 / 30])
         for entry, row in zip(desk, (0, 2, 3), strict=True):
-            np.testing.assert_allclose(labels_of(entry)[1][TIPS], projected(EGO_M, truth[row]), atol=1e-6)
+            np.testing.assert_allclose(labels_of(entry)[1][TIPS], pixels(truth[row], EGO_M), atol=1e-6)
         assert [(p.kind, p.where.split(": ")[-1]) for p in dataset.problems] == [
             ("label without a picture", "line 2")
         ]

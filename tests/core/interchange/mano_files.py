@@ -129,13 +129,9 @@ def frames_with_hands() -> dict[str, Any]:
 def hawor(**changes: Any) -> dict[str, Any]:
     """The files that HaWoR makes of a clip: the right hand in one piece, the left one in two."""
     files = {}
-    for index, side, first, last in (
-        (0, "left", 0, 2),
-        (0, "left", 4, FRAMES - 1),
-        (1, "right", 0, FRAMES - 1),
-    ):
+    for side, first, last in (("left", 0, 2), ("left", 4, FRAMES - 1), ("right", 0, FRAMES - 1)):
         hand, rows = HANDS[side], slice(first, last + 1)
-        files[f"cam_space/{index}/{first}_{last}.json"] = {
+        files[f"cam_space/{SIDES.index(side)}/{first}_{last}.json"] = {
             "init_root_orient": hand.matrices[None, rows, 0],
             "init_hand_pose": hand.matrices[None, rows, 1:],
             "init_trans": hand.transl[None, rows],
@@ -147,16 +143,18 @@ def hawor(**changes: Any) -> dict[str, Any]:
 
 def hawor_world(before: str = "") -> dict[str, np.ndarray]:
     """world_space_res by names, left hand first; the left one is not there in the last frame."""
-    valid = np.ones((2, FRAMES))
-    valid[0, -1] = 0.0
-    rows = [
-        (hand.transl, hand.global_orient, hand.hand_pose, np.tile(hand.betas, (FRAMES, 1)))
-        for hand in HANDS.values()
-    ]
-    arrays = [*map(np.stack, zip(*rows, strict=True)), valid]
-    return dict(
-        zip((before + n for n in ("trans", "rot", "hand_pose", "betas", "valid")), arrays, strict=True)
-    )
+    arrays = {
+        name: np.stack([np.broadcast_to(getattr(hand, ours), (FRAMES, *shape)) for hand in HANDS.values()])
+        for name, ours, shape in (
+            ("trans", "transl", (3,)),
+            ("rot", "global_orient", (3,)),
+            ("hand_pose", "hand_pose", (45,)),
+            ("betas", "betas", (10,)),
+        )
+    }
+    arrays["valid"] = np.ones((2, FRAMES))
+    arrays["valid"][0, -1] = 0.0
+    return {before + name: array for name, array in arrays.items()}
 
 
 # Dyn-HaMR
@@ -269,75 +267,55 @@ def at_home(side: Side, world: np.ndarray, own: bool) -> tuple[np.ndarray, np.nd
 
 def hot3d() -> str:
     """Lines; every second one is another camera's, a moment later."""
-    lines = []
-    hands = {str(SIDES.index(side)): (side, *at_home(side, UP_AXES["y"], True)) for side in SIDES}
+    lines, hands = [], {side: at_home(side, UP_AXES["y"], True) for side in SIDES}
     for frame in range(FRAMES):
-        row = {
-            key: {
-                "pose": coefficients_of(pose[None, frame], side)[0].tolist(),
-                "wrist_xform": {
-                    "q_wxyz": rotvec_to_quat(turned[frame]).tolist(),
-                    "t_xyz": place[frame].tolist(),
-                },
-                "betas": [0.0] * 10,
-            }
-            for key, (side, turned, pose, place) in hands.items()
-        }
+        row = {}
+        for key, (side, (turned, pose, place)) in enumerate(hands.items()):
+            wrist = {"q_wxyz": rotvec_to_quat(turned[frame]).tolist(), "t_xyz": place[frame].tolist()}
+            coefficients = coefficients_of(pose[None, frame], side)[0].tolist()
+            row[str(key)] = {"pose": coefficients, "wrist_xform": wrist, "betas": [0.0] * 10}
         time = 56752108188860 + round(frame * 1e9 / 30.0)
         lines += [json.dumps({"timestamp_ns": time + later, "hand_poses": row}) for later in (0, 90813)]
     return "\n".join(lines)
 
 
 def data_sets() -> dict[str, tuple[str, dict[str, Any]]]:
-    arctic, grab, interhand, frames = {}, {"framerate": 120.0}, {}, {}
+    arctic, grab, frames = {}, {"framerate": 120.0}, {str(16000 + n): {} for n in NUMBERS}
     for side in SIDES:
-        names = ("rot", "pose", "trans", "shape")
-        arctic[side] = dict(
-            zip(names, (*at_home(side, UP_AXES["z"], True), np.zeros((FRAMES, 10))), strict=True)
-        )
+        turned, pose, place = at_home(side, UP_AXES["z"], True)
+        arctic[side] = {"rot": turned, "pose": pose, "trans": place, "shape": np.zeros((FRAMES, 10))}
         turned, pose, place = at_home(side, UP_AXES["z"], False)
         params = {"global_orient": turned, "hand_pose": pose[:, :24], "fullpose": pose, "transl": place}
         grab[f"{side[0]}hand"] = {"params": params, "vtemp": "tools/subject_meshes/female/s1_rhand.ply"}
         turned, pose, place = at_home(side, np.eye(3), True)
-        for n, row in zip(NUMBERS, np.concatenate([turned, pose], axis=1), strict=True):
-            one = {"pose": row, "shape": np.zeros(10), "trans": place[n - 1]}
-            frames.setdefault(str(16000 + n), {"left": None, "right": None})[side] = one
-    interhand["0"] = frames
+        for row, frame in enumerate(frames.values()):
+            poses = np.concatenate([turned[row], pose[row]])
+            frame[side] = {"pose": poses, "shape": np.zeros(10), "trans": place[row]}
     turned, pose, place = at_home("right", np.eye(3), True)
     rows = np.concatenate([turned, coefficients_of(pose, "right"), place], axis=1)
-    dexycb = {
-        f"labels_{n:06}.npz": {"pose_m": row[None], "seg": np.zeros(3)}
-        for n, row in zip(NUMBERS, rows, strict=True)
-    }
+    labels = zip(NUMBERS, rows, strict=True)
+    dexycb = {f"labels_{n:06}.npz": {"pose_m": row[None], "seg": np.zeros(3)} for n, row in labels}
     photos = np.concatenate([turned, pose, np.zeros((FRAMES, 13))], axis=1)[:, None]
     turned, pose, place = at_home("right", np.diag([1.0, -1.0, -1.0]), False)
     camera = np.array([[614.6, 0.0, 320.0], [0.0, 614.1, 240.0], [0.0, 0.0, 1.0]])
     ho3d = {
-        f"meta/{n:04}.pkl": {
-            "camMat": camera,
-            "handPose": row[:48],
-            "handTrans": row[48:],
-            "handBeta": np.ones(10),
-        }
-        for n, row in zip(NUMBERS, np.concatenate([turned, pose, place], axis=1), strict=True)
+        f"meta/{n:04}.pkl": {"camMat": camera, "handPose": row, "handTrans": trans, "handBeta": np.ones(10)}
+        for n, row, trans in zip(NUMBERS, np.concatenate([turned, pose], axis=1), place, strict=True)
     }
-    motion = np.concatenate(
-        [body(UP_AXES["y"]), *[h.hand_pose for h in HANDS.values()], np.zeros((FRAMES, 166))], axis=1
-    )
+    fingers = [hand.hand_pose for hand in HANDS.values()]
+    motion = np.concatenate([body(UP_AXES["y"]), *fingers, np.zeros((FRAMES, 166))], axis=1)
     valid = {f"{side}_hand_valid": np.ones(FRAMES, dtype=bool) for side in SIDES}
+    gvhmr = keywords(slice(None), UP_AXES["y"]) | valid
     return {
         "HOT3D": ("hot3d", {"a.jsonl": hot3d()}),
         "ARCTIC's hands": ("arctic", {"a.mano.npy": arctic}),
         "GRAB": ("grab", {"a.npz": grab}),
-        "InterHand2.6M": ("interhand-mano", {"a_MANO.json": interhand}),
+        "InterHand2.6M": ("interhand-mano", {"a_MANO.json": {"0": frames}}),
         "DexYCB": ("dexycb", dexycb),
         "HO-3D": ("ho3d", ho3d),
         "FreiHAND": ("freihand", {"training_mano.json": photos.tolist()}),
         "Motion-X": ("smplx", {"a.npy": motion}),
-        "GVHMR with HaMeR's hands": (
-            "smplx-keywords",
-            {"a.npz": keywords(slice(None), UP_AXES["y"]) | valid},
-        ),
+        "GVHMR with HaMeR's hands": ("smplx-keywords", {"a.npz": gvhmr}),
     }
 
 
@@ -350,9 +328,7 @@ def layouts() -> dict[str, tuple[str, dict[str, Any]]]:
         "HaMeR, a file a hand": ("hamer", hands),
         "HaMeR, by picture": ("hamer", {"a.json": {f"img_{n:04}.jpg": v for n, v in pictures.items()}}),
         "HaMeR, by frame": ("hamer", {"a.pkl": pictures}),
-        "HaMeR, npy of a dictionary": ("hamer", {"a.npy": {f"{n:05}": v for n, v in pictures.items()}}),
         "HaMeR, rows with frames": ("hamer", {"a.npz": rows_of_hands()}),
-        "WiLoR-mini, JSON": ("wilor-mini", {"a.json": [*minis.values()]}),
         "WiLoR-mini, pickle": ("wilor-mini", {"a.pkl": [*minis.values()]}),
         "WiLoR-mini, a file a picture": ("wilor-mini", {f"{n:03}.json": v for n, v in minis.items()}),
         "WiLoR-mini, frames with hands": ("wilor-mini", {"a.json": frames_with_hands()}),
@@ -360,14 +336,15 @@ def layouts() -> dict[str, tuple[str, dict[str, Any]]]:
         "HaWoR, a clip": ("hawor", hawor()),
         "HaWoR, its world": ("hawor", {"world_space_res.npz": hawor_world()}),
         "HaWoR, its world as pred_": ("hawor", {"world_space_res.npz": hawor_world("pred_")}),
-        "HaWoR, its world in a list": ("hawor", {"world_space_res.pkl": [*hawor_world().values()]}),
         "HaWoR, its world as it writes it": ("hawor", {"world_space_res.pth": [*hawor_world().values()]}),
         "HaMeR, in PyTorch's files": ("hamer", {f"{n:06}.pt": v for n, v in pictures.items()}),
         "Dyn-HaMR, in PyTorch's file": ("dyn-hamr", {"a.pt": dyn_hamr()}),
         "Dyn-HaMR": ("dyn-hamr", {"a_000300_world_results.npz": dyn_hamr()}),
-        "AMASS, SMPL+H": ("smplx", {"a.npz": amass(52, UP_AXES["z"])}),
-        "AMASS, SMPL-X": ("smplx", {"a.npz": amass(55, UP_AXES["z"])}),
-        "AMASS, in parts": ("smplx", {"a.npz": in_parts()}),
+        "AMASS, SMPL+H, z-up": ("smplx", {"a.npz": amass(52, UP_AXES["z"])}),
+        "AMASS, z-up": ("smplx", {"a.npz": amass(55, UP_AXES["z"])}),
+        "AMASS, y-up": ("smplx", {"a.npz": amass(55, UP_AXES["y"])}),
+        "AMASS, the camera's, y-down": ("smplx", {"a.npz": amass(55, np.eye(3))}),
+        "AMASS, in parts, z-up": ("smplx", {"a.npz": in_parts()}),
         "ARCTIC": ("smplx-keywords", {"a.smplx.npy": keywords(slice(None), UP_AXES["z"])}),
         **data_sets(),
     }

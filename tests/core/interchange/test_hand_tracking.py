@@ -123,7 +123,7 @@ def turned(joint: dict[str, Any]) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("which", "change", "words"),
     [
-        ("thumb-tip", lambda _: [1.0, 2.0], "x, y, z and a quaternion"),
+        ("thumb-tip", lambda _: [1.0, 2.0], "a point of 2 numbers; expected xyz or xyzijkw"),
         ("middle-finger-phalanx-proximal", None, "lacks joints"),
         ("", lambda joint: joint | {"position": [1000.0 * x for x in joint["position"]]}, "expected metres"),
         ("", turned, "past the next joint"),

@@ -1,4 +1,4 @@
-"""Humanoids: what a .vrma shows, also in three-vrm, and what receivers of VMC are sent."""
+"""Humanoids: what a .vrma shows, also in three-vrm, and what receivers of VMC are sent, by python-osc."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import json
 import os
 import shutil
 import socket
-import struct
 import subprocess
 import sys
 import time
@@ -17,10 +16,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pythonosc.osc_packet import OscPacket
 
 from handfit_core.__main__ import main
 from handfit_core.capturing.live import send
-from handfit_core.capturing.live.send import VmcMotion, host_and_port, osc_message
+from handfit_core.capturing.live.send import VmcMotion, host_and_port
 from handfit_core.common.errors import OptionError, OutputError
 from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, PARENTS, SIDES
 from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
@@ -174,13 +174,9 @@ class Inbox:
     frames: list[dict[str, list[float]]] = field(default_factory=list)
     moments: list[float] = field(default_factory=list)
 
-    @property
-    def target(self) -> list[str]:
-        return ["--vmc", f"127.0.0.1:{self.port}"]
-
-    @property
-    def port(self) -> int:
-        return self.socket.getsockname()[1]
+    def __post_init__(self) -> None:
+        self.port = self.socket.getsockname()[1]
+        self.target = ["--vmc", f"127.0.0.1:{self.port}"]
 
     def take_in(self, seconds: float = 0.5) -> int:
         """Take what has arrived, or arrives within some time; how many frames there are then."""
@@ -189,7 +185,8 @@ class Inbox:
             while True:
                 data = self.socket.recv(65536)
                 assert len(data) <= 1400
-                for address, values in taken_apart(data):
+                for message in (each.message for each in OscPacket(data).messages):
+                    address, values = message.address, [*message.params]
                     if address == "/VMC/Ext/T":
                         self.moments += values
                         self.frames.append({})
@@ -207,34 +204,6 @@ def inbox() -> Iterator[Inbox]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as waiting:
         waiting.bind(("127.0.0.1", 0))
         yield Inbox(waiting)
-
-
-def taken_apart(data: bytes) -> list[tuple[str, list]]:
-    """Messages of an OSC packet: address and values."""
-    if data[:8] == b"#bundle\0":
-        found, place = [], 16
-        while place < len(data):
-            (size,) = struct.unpack_from(">i", data, place)
-            found += taken_apart(data[place + 4 : place + 4 + size])
-            place += 4 + size
-        assert place == len(data)
-        return found
-    assert len(data) % 4 == 0
-    values, place = [], 0
-
-    def text() -> str:
-        nonlocal place
-        end = data.index(b"\0", place)
-        word, place = data[place:end].decode("ascii"), end // 4 * 4 + 4
-        return word
-
-    address, tags = text(), text()
-    assert tags[0] == ","
-    for tag in tags[1:]:
-        values.append(text() if tag == "s" else struct.unpack_from(f">{tag}", data, place)[0])
-        place += 0 if tag == "s" else 4
-    assert place == len(data)
-    return [(address, values)]
 
 
 def shown(bones: dict[str, list[float]], side: str) -> np.ndarray:
@@ -311,10 +280,6 @@ def test_where_to(said, found):
         return
     with pytest.raises(OptionError, match=r"127\.0\.0\.1:39539; got"):
         host_and_port(said)
-
-
-def test_messages_are_oscs():
-    assert osc_message("/a", "xyz", 1, 0.5) == b"/a\0\0,sif\0\0\0\0xyz\0\0\0\0\x01\x3f\0\0\0"
 
 
 def test_hosts_and_networks_that_are_not_there(inbox, monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -135,18 +136,10 @@ def truth_of(side: Side, count: int = 60) -> np.ndarray:
     return landmarks_of(side, *(parameters if side == "right" else mirrored(*parameters)))
 
 
-def hands_of(side: Side, points: np.ndarray, **values: np.ndarray) -> SeenHands:
-    """Of pixels (N, 21, 2)."""
-    count = len(points)
-    there = np.isfinite(points[..., 0])
-    return SeenHands(
-        row=np.arange(count),
-        left=np.full(count, side == "left"),
-        score=np.ones(count),
-        keypoints=points,
-        confidence=there.astype(float),
-        **values,
-    )
+def hands_of(side: Side, points: np.ndarray, world: Any = np.nan) -> SeenHands:
+    """Of pixels (N, 21, 2), or with a depth (N, 21, 3)."""
+    rows = np.arange(len(points))
+    return SeenHands.of(rows, rows * 0 + SIDES.index(side), rows, rows * 0 + 1, points, world)
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -227,11 +220,11 @@ def test_what_is_known_of_depth_stays() -> None:
     """Of MediaPipe's own exports; where that is missing, too, it is guessed."""
     whole = columns([seen(points, "right") for points in truth_of("right", 4)])
     points, world = whole.keypoints.copy(), whole.world.copy()
-    same = lifted(hands_of("right", points[..., :2], depth=points[..., 2], world=world))
+    same = lifted(hands_of("right", points, world))
     assert np.array_equal(same.keypoints, whole.keypoints)
     assert np.array_equal(same.world, whole.world)
     points[1, 8] = world[1, 8] = np.nan
-    same = lifted(hands_of("right", points[..., :2], depth=points[..., 2], world=world))
+    same = lifted(hands_of("right", points, world))
     check_arrays(same)
     assert np.array_equal(same.world[2], whole.world[2])
 

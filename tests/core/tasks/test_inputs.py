@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from handfit_core.tasks.inputs import expand, paired
-from handfit_core.tasks.record import Result, write_record
+from handfit_core.tasks.record import Record, Result
 
 
 @pytest.mark.parametrize("text", ["{}", "{}/*"])
@@ -18,7 +18,7 @@ def test_what_a_flat_batch_has_put_beside_its_inputs_is_no_input(tmp_path, text)
     assert [len(each.source) for each in before] == [2], "one sequence"
     for suffix in (".sheet.jpg", ".preview.png", ".export.json"):
         (tmp_path / f"shot{suffix}").write_bytes(b"ours")
-    write_record(tmp_path / "shot.json", "key", Result("shot", "shot"), {})
+    Record("key", Result("shot", "shot")).write(tmp_path / "shot.json")
     assert expand(text.format(tmp_path)) == before
     (named,) = expand(str(tmp_path / "shot.sheet.jpg"))
     assert named.source, "who names one means it"

@@ -13,7 +13,7 @@ from urllib.parse import unquote_to_bytes, urlsplit
 import pytest
 
 from handfit_core.tasks.overview import write_overview
-from handfit_core.tasks.record import Result
+from handfit_core.tasks.record import Attempt, Hand, Result
 
 VOID = {"meta", "input", "img", "br", "li", "th", "td"}
 """Without an end of their own here"""
@@ -75,12 +75,11 @@ class Page(HTMLParser):
         return found + [picture["src"] or "" for picture in self.pictures]
 
 
-def hand(error: float | None = 0.006, detected: int = 100, **fields: Any) -> dict[str, Any]:
-    known = {"doubtful": None, "mean_error_of_hand": None, "error_known": True}
-    return {"side": "right", "detected": detected, "mean_expected_error": error} | known | fields
+def hand(error: float | None = 0.006, detected: int = 100, side: str = "right", **fields: Any) -> Hand:
+    return Hand(side, detected, **{"error_known": True, "mean_expected_error": error, **fields})
 
 
-def ok(name: str, *hands: dict[str, Any], **fields: Any) -> Result:
+def ok(name: str, *hands: Hand, **fields: Any) -> Result:
     files = [f"{name}/{name}{end}" for end in (".take.npz", ".sheet.jpg", ".blend")]
     known = {"seconds": 10.0, "frames": 100, "hands": list(hands or [hand()]), "host": "one", "files": files}
     return Result(f"/footage/{name}.mp4", name, **{"status": "ok", **known, **fields})
@@ -149,7 +148,7 @@ def test_a_hand_in_words(tmp_path: Path, result: Result, said: str) -> None:
 
 def test_failures_are_told_with_their_attempts_and_hosts(tmp_path: Path) -> None:
     tried = [
-        {"error": f"died of {what}", "kind": "WorkerDied", "host": host, "seconds": 75.0}
+        Attempt(f"died of {what}", "WorkerDied", host, 75.0)
         for what, host in (("hunger", "one"), ("thirst", "two"))
     ]
     page = made(
@@ -217,7 +216,7 @@ HOSTILE = (
 @pytest.mark.parametrize("text", HOSTILE)
 def test_no_text_becomes_part_of_the_page(text: str, tmp_path: Path) -> None:
     def entries(said: str) -> list[Result]:
-        attempts = [{"error": said, "host": said, "seconds": 1.0}] * 5
+        attempts = [Attempt(said, "WorkerDied", said, 1.0)] * 5
         told = {"host": said, "attempts": attempts, "warnings": [said] * 5}
         files = [said, f"{said}/{said}.sheet.jpg"]
         found = [ok(said, hand(0.05, side=said), files=files, **told), failed(said, said, **told)]

@@ -141,11 +141,8 @@ def test_adds_arms_to_takes(warm: Worker, tmp_path: Path) -> None:
     ask(warm, "capture", **capture_of(tmp_path, "1-3"))
     before: list[Event] = []
     done = warm.wait(warm.submit("arms", take=first, output=second), before.append, timeout=PATIENCE)
-    assert [(e["stage"], e["done"], e["total"]) for e in before if e["event"] == "progress"][-1] == (
-        "detect",
-        3,
-        3,
-    )
+    last = [(e["stage"], e["done"], e["total"]) for e in before if e["event"] == "progress"][-1]
+    assert last == ("arms", 3, 3)
     (hand,) = done["hands"]
     assert (done["output"], hand["arm"]) == (second, 0)
     assert hand["no_arm"] == Take.load(second).hands[0].no_arm != ""

@@ -56,15 +56,13 @@ class Stage:
         assert areas, f"there is no {kind} in this window"
         return max(areas, key=lambda a: a.width * a.height)
 
-    def region(self, kind: str = "WINDOW", area: str = "VIEW_3D") -> bpy.types.Region:
-        """A region of that editor."""
-        return next(r for r in self.area(area).regions if r.type == kind)
+    def region(self, kind: str = "WINDOW") -> bpy.types.Region:
+        """A region of the 3D view."""
+        return next(r for r in self.area().regions if r.type == kind)
 
-    def override(self, area: str = "VIEW_3D", region: str = "WINDOW"):
-        """A context as it is under the mouse there; timers have none."""
-        return bpy.context.temp_override(
-            window=self.window, area=self.area(area), region=self.region(region, area)
-        )
+    def override(self, region: str = "WINDOW"):
+        """A context as it is under the mouse in a region of the 3D view; timers have none."""
+        return bpy.context.temp_override(window=self.window, area=self.area(), region=self.region(region))
 
     def reset(self) -> Steps:
         """A new file with nothing in it but the factory's layout; the add-on enabled; mouse in the view."""
@@ -98,11 +96,11 @@ class Stage:
 
     # Mouse and keys
 
-    def move_to(self, target: Any, dx: float = 0.0, dy: float = 0.0) -> Steps:
+    def move_to(self, target: Any) -> Steps:
         """Mouse to the middle of a region, or to (x, y) in pixels of the window from its lower left."""
         if isinstance(target, bpy.types.Region):
             target = self._middle(target)
-        x, y = round(target[0] + dx), round(target[1] + dy)
+        x, y = round(target[0]), round(target[1])
         self.window.event_simulate(type="MOUSEMOVE", value="NOTHING", x=x, y=y)
         self.mouse = (x, y)
         yield 0.0

@@ -50,7 +50,7 @@ def clip(stage, source, frames):
     job = yield from begin(stage, source)
     seen, fractions, texts = [], [], []
     while not job.finished:
-        seen.append(job.stage)
+        seen.append(job.progress.stage)
         fractions.append(round(job.fraction, 3))
         if job.state == "capturing":
             texts.append(job.status())
@@ -86,14 +86,14 @@ def escaped(stage, source, frames):
     job = yield from begin(stage, source)
     yield from looking(stage, job, 20)
     yield from stage.key("ESC")
-    looked_at = job.done
+    looked_at = job.progress.done
     while job.state == "capturing":
-        looked_at = max(looked_at, job.done if job.stage == "detect" else 0)
+        looked_at = max(looked_at, job.progress.done if job.progress.stage == "detect" else 0)
         yield 0.0
     yield from finish(stage, job)
     done(job)
     assert looked_at < frames / 2
-    assert "stopped" in job.message
+    assert "stopped" in job.result.message
     (hand,) = summary()
     assert 0 < hand["detected"] < frames / 2
 
@@ -125,7 +125,7 @@ def quit_asks(stage, source):
     yield 0.5
     yield from stage.screenshot("quit-asks")
     yield from stage.key("ESC")
-    done_before = job.done
+    done_before = job.progress.done
     yield from looking(stage, job, done_before + 5)
     assert job.state == "capturing"
     yield from stage.key("ESC")
@@ -215,7 +215,7 @@ def worker_killed(stage, source, frames):
     os.kill(worker, signal.SIGKILL)
     yield from finish(stage, job)
     assert job.state == "failed"
-    yield from _is_told(stage, job.message)
+    yield from _is_told(stage, job.result.message)
     yield from capture(stage, source)
     ((other, _),) = workers()
     assert worker != other
@@ -232,7 +232,7 @@ def fails(stage, source, word):
     yield from finish(stage, *jobs())
     assert [job.state for job in jobs()] in ([], ["failed"])
     reports = yield from stage.reports()
-    message = jobs()[0].message if jobs() else reports[-1]
+    message = jobs()[0].result.message if jobs() else reports[-1]
     assert word in message
     assert not hands()
     yield from _is_told(stage, message, reported=not jobs())

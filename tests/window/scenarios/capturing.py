@@ -36,7 +36,7 @@ def begin(stage, source: str, **settings):
 
 def looking(stage, job, frames: int = 5):
     """Wait until so many frames have been looked at."""
-    there = lambda: job.stage == "detect" and job.done >= frames  # noqa: E731
+    there = lambda: job.progress.stage == "detect" and job.progress.done >= frames  # noqa: E731
     yield from stage.until(there, 60.0, f"{frames} frames")
 
 
@@ -45,7 +45,7 @@ def finish(stage, *waited, timeout: float = 180.0):
     yield from stage.until(
         lambda: all(job.finished for job in waited),
         timeout,
-        lambda: f"the captures to end: {[(job.name, job.state, job.status()) for job in waited]}",
+        lambda: f"the captures to end: {[(job.request.name, job.state, job.status()) for job in waited]}",
     )
     yield 0.3
 
@@ -53,7 +53,7 @@ def finish(stage, *waited, timeout: float = 180.0):
 def done(*finished):
     """Fail with the jobs' own words unless all went well."""
     for job in finished:
-        assert job.state == "done", f"{job.name} is {job.state}: {job.message}"
+        assert job.state == "done", f"{job.request.name} is {job.state}: {job.result.message}"
 
 
 def capture(stage, source: str, **settings):

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import statistics
-import time
-from itertools import pairwise
 from pathlib import Path
 
 import bpy
@@ -160,42 +156,6 @@ def acted(stage, source, take):
     assert [c for c in bpy.data.collections if c.manient.is_live or c.hide_viewport] == []
     hand = bpy.data.objects[name].pose.bones["J_Bip_L_Hand"]
     assert before.rotation_difference(place()).angle < 1e-3
-
-
-def measured(stage, source, figures, rounds, seconds):
-    """For scripts/measure_window.py: redraws while a Rigify character follows, and while a timer asks for as
-    many; milliseconds that the add-on keeps the main thread."""
-    stage.draw_smoothly(on=True)
-    yield from rigify_character(stage)
-    area, found = stage.area(), {"timer that redraws": [], "live": []}
-
-    def drawn(name):
-        times = []
-        handle = bpy.types.SpaceView3D.draw_handler_add(
-            lambda: times.append(time.perf_counter()), (), "WINDOW", "POST_PIXEL"
-        )
-        stage.meter.reset()
-        end = time.perf_counter() + seconds
-        while time.perf_counter() < end:
-            if name != "live":
-                area.tag_redraw()
-            yield 1 / 30
-        bpy.types.SpaceView3D.draw_handler_remove(handle, "WINDOW")
-        gaps = [1000.0 * (after - before) for before, after in pairwise(times)]
-        ticks = sorted(ms for calls in stage.meter.calls.values() for ms in calls) or [0.0]
-        row = {"redraws/s": len(gaps) / (times[-1] - times[0]), "longest gap ms": max(gaps)}
-        row |= {"ours, median ms": statistics.median(ticks), "ours, 99 % ms": ticks[len(ticks) * 99 // 100]}
-        found[name].append(row | {"ours, longest ms": ticks[-1]})
-
-    for _ in range(rounds):
-        yield from drawn("timer that redraws")
-        folder = Path(source).parent / "takes"
-        session = yield from started(stage, source, folder, bpy.data.objects["rig"])
-        yield from drawn("live")
-        session.stop()
-        yield from stage.until(lambda session=session: session.over, 10.0, "the end")
-        yield 0.5
-    Path(figures).write_text(json.dumps(found), encoding="utf-8")
 
 
 def left_running(stage, source):

@@ -29,7 +29,9 @@ def tour(stage, folder, source, edited_frame=12):
 
     source = f"//{source}"
     job = yield from begin(stage, source)
-    yield from stage.until(lambda: job.stage == "detect" and job.done >= 8, 60.0, "eight frames")
+    yield from stage.until(
+        lambda: job.progress.stage == "detect" and job.progress.done >= 8, 60.0, "eight frames"
+    )
     yield from stage.screenshot("capturing")
     yield from finish(stage, job)
     done(job)

@@ -44,12 +44,14 @@ def captured(stage, source, second):
         yield from chosen(stage, source, second)
         yield from stage.screenshot("views-chosen")
         job = yield from begin(stage, source, second_view=str(second))
-        yield from stage.until(lambda: job.stage == "detect" and job.done >= 20, 60.0, "twenty frames")
+        yield from stage.until(
+            lambda: job.progress.stage == "detect" and job.progress.done >= 20, 60.0, "twenty frames"
+        )
         yield from stage.screenshot("views-capturing")
         yield from finish(stage, job, timeout=300.0)
         done(job)
         first, other = (camera.name for camera in _cameras())
-        assert job.views_message.endswith("good"), job.views_message
+        assert job.result.views_message.endswith("good"), job.result.views_message
         bpy.context.scene.frame_set(40)
         for name, shot in ((first, "first"), (other, "second"), (first, "")):
             assert _seen_through() == name
@@ -126,6 +128,6 @@ def told(stage, source, second, rig):
         job = yield from begin(stage, source, second_view=str(second), cameras=str(rig))
         yield from finish(stage, job)
         assert job.state == "failed"
-        assert_sentence(job.message)
-        assert "rig.toml" in job.message
+        assert_sentence(job.result.message)
+        assert "rig.toml" in job.result.message
         yield from stage.screenshot("views-refused")

@@ -1,4 +1,4 @@
-"""Results that are kept in the user's cache between runs, under a key of everything that they depend on."""
+"""Results in the user's cache, under a key of everything that they depend on."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from joblib import Memory
 from handfit_core.common.files import cache_dir
 
 
-def kept(function: Callable[..., Any], folder: str, ignore: Sequence[str]) -> Any:
-    """The function with its results kept in that folder of the cache, by its arguments but the ignored."""
+def cached(function: Callable[..., Any], folder: str, ignore: Sequence[str]) -> Any:
+    """The function with its results cached in that folder, by all arguments that are not ignored."""
     return Memory(cache_dir() / folder, verbose=0).cache(function, ignore=list(ignore))
 
 
 def code_digest(*sources: ModuleType | Path) -> str:
-    """Fingerprint of packages, modules and files, so that changed code makes results anew."""
+    """Fingerprint of packages, modules and files, by which changed code invalidates cached results."""
     sha = hashlib.sha256()
     for source in sources:
         file = Path(source if isinstance(source, Path) else source.__file__ or "")
