@@ -34,7 +34,7 @@ SHOULDER, ELBOW, WRIST, UPPER, FOREARM = (slice(3 * i, 3 * i + 3) for i in range
 
 @dataclass(frozen=True)
 class ArmSettings:
-    """What arms are expected to be like, and what they are seen with."""
+    """Expected lengths, bends and motion of arms, and expected errors of what is seen of them."""
 
     upper_arm: float = 1.56
     forearm: float = 1.49
@@ -85,7 +85,7 @@ ARMS: Final = ArmSettings()
 
 @dataclass(frozen=True, eq=False)
 class ArmsSeen(Batch):
-    """What is seen of A arms of one person in T frames, camera frame."""
+    """Observations of A arms of one person in T frames, camera frame."""
 
     wrist: np.ndarray
     """(T, A, 3) metres: the fitted hand's wrist joint; NaN without a hand"""
@@ -185,7 +185,7 @@ def in_picture(arms: Arms, seen: ArmsSeen) -> Rows:
 
 
 def along_network(arms: Arms, seen: ArmsSeen) -> Rows:
-    """Both directions against the body network's."""
+    """The directions of upper arm and forearm less those of the body network."""
     found = np.stack([arms.upper, arms.forearm], axis=-2)
     # A bone is seen as well as its worse end.
     weight = np.minimum(seen.visibility[..., :2], seen.visibility[..., 1:])[..., None] / ARMS.direction_sigma
@@ -220,7 +220,8 @@ TERMS: Final[tuple[Callable[[Arms, ArmsSeen], Rows], ...]] = (
 
 
 def shoulder_width(arms: Arms, seen: ArmsSeen) -> Rows:
-    """Of two arms: how far the shoulders are from their distance. (T, 1) and (T, 1, 2, 15)."""
+    """The distance of the shoulders of two arms less the expected one: (T, 1), and derivatives
+    (T, 1, 2, 15)."""
     shoulder = arms.points[..., 0, :]
     between = shoulder[:, 1] - shoulder[:, 0]
     distance = np.maximum(np.linalg.norm(between, axis=-1, keepdims=True), 1e-6)

@@ -106,7 +106,7 @@ def _damped(matrix: np.ndarray, damping: np.ndarray) -> np.ndarray:
 
 
 def _of_common(system: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """What B systems (B, n, n + 1) say of the betas and of what follows a hand's own variables, (c, c + 1);
+    """The system (c, c + 1) of the betas and the cameras' variables, from B systems (B, n, n + 1);
     the own variables' answers (B, o, c + 1) to each of its columns, and the indices of both."""
     n = system.shape[1]
     common = np.r_[BETAS, HAND_SIZE:n]

@@ -63,7 +63,7 @@ class ClipProblem(CoupledFrames):
         """The frames' own systems, zero in frames that are not observed, and their costs with those of the
         accelerations about them."""
         self.before_each()
-        free = replace(self.frames, held=None)
+        free = replace(self.frames, fixed=None)
 
         @np.errstate(all="ignore")
         def systems(rows: slice) -> Blocks:
@@ -96,8 +96,8 @@ class ClipProblem(CoupledFrames):
         gradient = of_motion - mixed * (slope / square)[:, None]
         gradient[:, _HAND] += blocks.hand[:, :6, -1]
         gradient[:, 3:48] += blocks.finger[..., -1].reshape(-1, 45)
-        if self.frames.held is not None:
-            _fix(band, gradient, self.frames.held.variables)
+        if self.frames.fixed is not None:
+            _fix(band, gradient, self.frames.fixed.variables)
         band[0] += damping[0] * band[0] + 1e-6
         step = -solve_band(band, gradient.reshape(-1)).reshape(-1, FRAME_VARIABLES)
         of_depth = -(slope + (mixed * step).sum(axis=1)) / square
@@ -190,10 +190,10 @@ def _rotations(state: State) -> np.ndarray:
     return np.concatenate([state.root[:, None], euler_to_rotmat(state.angles.reshape(-1, 15, 3))], axis=1)
 
 
-def _fix(band: np.ndarray, gradient: np.ndarray, held: np.ndarray) -> None:
-    """Take held variables (T, 51) out of the matrix and the gradient in place: their increments are zero."""
-    at = np.flatnonzero(held)
-    gradient[held] = 0.0
+def _fix(band: np.ndarray, gradient: np.ndarray, fixed: np.ndarray) -> None:
+    """Take fixed variables (T, 51) out of the matrix and the gradient in place: their increments are zero."""
+    at = np.flatnonzero(fixed)
+    gradient[fixed] = 0.0
     band[:, at] = 0.0
     for below in range(1, len(band)):
         rows = at[at >= below]

@@ -1,4 +1,4 @@
-"""What fits are weighed and stopped by."""
+"""Weights, tolerances and limits of the fits."""
 
 from __future__ import annotations
 

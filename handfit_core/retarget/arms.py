@@ -64,14 +64,14 @@ _FEW = 0.004
 
 @dataclass(frozen=True, eq=False)
 class CapturedArm:
-    """What a captured arm does on N frames."""
+    """The motion of a captured arm on N frames."""
 
     upper: np.ndarray
     """(N, 3) unit vectors from the shoulder to the elbow, in the axes of a body that faces -Y"""
     fore: np.ndarray
     """(N, 3) unit vectors from the elbow to the wrist, likewise"""
     present: np.ndarray
-    """(N,) bool: whether there is an arm; where there is none, the directions lie between the nearest ones"""
+    """(N,) bool: true where there is an arm; elsewhere the directions lie between the nearest ones"""
     facing: np.ndarray
     """(3, 3) from the world in which the capture's camera stands to these axes: a turn about Z"""
 
@@ -315,7 +315,7 @@ class Capsules:
     """C parts of a body at rest, as capsules in the armature's space and units."""
 
     bones: tuple[str, ...]
-    """What carries each of them"""
+    """The bone that carries each capsule"""
     ends: np.ndarray
     """(C, 2, 3) the ends of their axes"""
     radii: np.ndarray

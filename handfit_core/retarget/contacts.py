@@ -116,7 +116,7 @@ class Touches(Batch):
     gap: np.ndarray
     """(T, 10) metres between the two skins; negative where they overlap"""
     now: np.ndarray
-    """(T, 10) bool: whether the two touch in this very frame"""
+    """(T, 10) bool: true where the two touch in this very frame"""
     along: np.ndarray
     """(T, 10, 2) where on the axes of the two last bones, 0..1, they are nearest to each other"""
     ways: np.ndarray
@@ -274,7 +274,7 @@ class _Chains:
     """(5, 2, 3) from the beginning of these to both ends of the axes of their skins, likewise: as far from
     the character's fingertip as the captured ones are from theirs"""
     moves: np.ndarray
-    """(K, U) bool: whether an angle moves a bone"""
+    """(K, U) bool: true where an angle moves a bone"""
     bones: np.ndarray
     """(U,) the bone of each angle"""
     which: np.ndarray
@@ -356,7 +356,7 @@ class _Chains:
 
 @dataclass(frozen=True, eq=False)
 class _Turns(Batch):
-    """What joints turn beyond what was captured."""
+    """Turns of the joints in addition to the captured ones."""
 
     x: np.ndarray
     """(N, U) radians"""
@@ -387,7 +387,7 @@ class _Problem(Batch):
     angles: np.ndarray
     """(N, K, 3) twist, spread and bend of each bone, as captured"""
     touching: Touches
-    """Theirs, of these pairs"""
+    """The touches of these pairs in the N frames"""
 
     def turned(self, standing: np.ndarray, x: np.ndarray) -> np.ndarray:
         """The bones (N, K, 3, 3) turned by x (N, U) more than they stand; the very same where x is 0."""

@@ -73,7 +73,7 @@ def total_cost(problem: ClipProblem, state: State) -> float:
     )
     if problem.motion_scale is not None:
         turning[:, 0] /= problem.motion_scale[1:-1, None]
-    of_frames = replace(problem.frames, held=None).blocks(state).cost[known]
+    of_frames = replace(problem.frames, fixed=None).blocks(state).cost[known]
     return float(of_frames.sum() + np.square(turning).sum() + np.square(moving).sum())
 
 
@@ -186,11 +186,11 @@ def test_held_variables(monkeypatch: pytest.MonkeyPatch, window: int) -> None:
     joints[:, [1, 2, 15]] = True
     joints[10:20, 0] = True
     problem = clip_of(seen, replace(MOTION, overlap=16))
-    held = FixedJoints(joints, start)
-    problem = replace(problem, frames=replace(problem.frames, held=held))
+    fixed = FixedJoints(joints, start)
+    problem = replace(problem, frames=replace(problem.frames, fixed=fixed))
     found = smooth_clip(problem, start)
     close(found.betas, start.betas)
-    close(held.put(found).angles, found.angles, atol=1e-9, rtol=0)
+    close(fixed.put(found).angles, found.angles, atol=1e-9, rtol=0)
     close(found.root[10:20], start.root[10:20], atol=1e-9, rtol=0)
     assert np.array_equal(found.wrist[10:20], start.wrist[10:20])
     # Thumb 13, 14, 15 and index 1, 2, 3 come first.
