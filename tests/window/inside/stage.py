@@ -202,7 +202,8 @@ class Stage:
     def press(self, command: str, along: float = 0.6) -> Steps:
         """Click a button or field of the sidebar by `find_button`, the wheel turned until it shows."""
         yield from self.leave_popups()
-        for wheel, notches in (("", 0), ("WHEELUPMOUSE", 40), *[("WHEELDOWNMOUSE", 12)] * 3):
+        down, up = ("WHEELDOWNMOUSE", 12), ("WHEELUPMOUSE", 60)
+        for wheel, notches in (("", 0), down, down, down, up, down):
             yield from self.move_to(self.region("UI"))
             for _ in range(notches):
                 yield from self.key(wheel)
