@@ -65,11 +65,15 @@ HAND_METRICS: Final = ("epe", "mpjpe", "pa_mpjpe", "error_2d", "pa_mpvpe")
 def hand_means(scores: Scores, metric: str) -> np.ndarray:
     """(N,) each hand's mean of one of `HAND_METRICS` over its points, in the unit that METRICS tells.
 
-    NaN for misses, and where labels are missing.
+    NaN for misses, and where labels are missing; EPE also where a single point is labelled, which is 0 by
+    its alignment.
     """
     if metric == "pa_mpvpe":
         return scores.hands["pa_mpvpe"].to_numpy()
-    means = mean_of_labelled(scores.errors[metric], axis=1)
+    errors = scores.errors[metric]
+    means = mean_of_labelled(errors, axis=1)
+    if metric == "epe":
+        means = np.where((~np.isnan(errors)).sum(axis=1) >= 2, means, np.nan)
     return 100.0 * means if metric == "error_2d" else means
 
 
