@@ -70,6 +70,8 @@ class Document:
         self.path = path_of(path)
         self.cut = ""
         """What is said of a file that breaks off, once it was read"""
+        self.has_lines = False
+        """True once a file was read that has a text of JSON a line"""
         self.is_folder = os.path.isdir(self.path)  # noqa: PTH112  (raises for no name, however long)
 
     def _refuse(self, what: str) -> NoReturn:
@@ -131,34 +133,28 @@ class Document:
 
     @cached_property
     def json(self) -> Any:
-        """The list or object that a JSON file holds."""
+        """The list or object in a JSON file, or the list of those in a file with one a line (.jsonl)."""
         start = self.bytes[:64].removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
         if start not in (b"{", b"["):
             return None
         self._check_room(_memory_of_json(self.bytes))
-        try:
-            return None if self.text is None else self._checked(json.loads(self.text))
-        except (ValueError, RecursionError):
-            return None
+        for read in (json.loads, self._lines):
+            with contextlib.suppress(ValueError, RecursionError):
+                return None if self.text is None else self._checked(read(self.text))
+        return None
 
-    @cached_property
-    def lines(self) -> list[Any] | None:
-        """What a file with a JSON text a line (.jsonl) holds."""
-        if self.bytes[:1] != b"{":
-            return None
-        self._check_room(_memory_of_json(self.bytes))
+    def _lines(self, text: str) -> list[Any]:
+        """What a text with one of JSON a line holds, of which the last may break off. Raises ValueError."""
+        *texts, last = [line for line in text.splitlines() if line.strip()]
+        told = [json.loads(line) for line in texts]
         try:
-            texts = [line for line in self.bytes.decode("utf-8").splitlines() if line.strip()]
-            told = [json.loads(line) for line in texts[:-1]]
-            try:
-                told.append(json.loads(texts[-1]))
-            except ValueError:
-                if not told:
-                    return None
-                self.cut = "its last line breaks off, and is left out"
-            return self._checked(told)
-        except (ValueError, RecursionError):
-            return None
+            told.append(json.loads(last))
+        except ValueError:
+            if not told:
+                raise
+            self.cut = "its last line breaks off, and is left out"
+        self.has_lines = True
+        return told
 
     @cached_property
     def table(self) -> Table | None:
@@ -366,24 +362,21 @@ class Document:
             return f"an .npz with {_some(self.npz.names)}"
         if self.bytes[:2] == b"PK" and self._torch is None:
             return "a zip archive, or a damaged .npz; unpack it first"
-        if b'"joint_angles"' in self.bytes[:4096] and (self.json or self.lines):
+        if b'"joint_angles"' in self.bytes[:4096] and self.json:
             return (
                 "the angles of UmeTrack's joints (HOT3D), which are not read; give "
                 "mano_hand_pose_trajectory.jsonl, which lies beside them"
             )
         if self.json is not None:
-            few = _some(self.json) if isinstance(self.json, dict) else _listed(self.json)
-            return f"JSON with {few}"
-        if self.lines:
-            few = _some(self.lines[0]) if isinstance(self.lines[0], dict) else "lists"
-            return f"lines of JSON with {few}"
+            first = self.json[0] if self.has_lines else self.json
+            return f"{'lines of ' if self.has_lines else ''}JSON with {_held(first)}"
         if self.npy is not None:
             return f"an .npy of the shape {'x'.join(map(str, self.npy.shape)) or 'of one number'}"
         whose = "a pickle" if self._torch is None else "PyTorch's file"
         if isinstance(held, np.ndarray):
             return f"{whose} with an array of the shape {'x'.join(map(str, held.shape)) or 'of one number'}"
         if held is not None:
-            return f"{whose} with {_some(held) if isinstance(held, dict) else _listed(held)}"
+            return f"{whose} with {_held(held)}"
         if refused:
             why_not = "is not read, as it could run programs: " if "asks to run" in refused else ""
             return f"{whose} that {refused}; {why_not}write what is in it as .npz or JSON"
@@ -392,7 +385,7 @@ class Document:
         if self.table is not None:
             return f"a table with the columns {_some(self.table.columns)}"
         if self.bytes.lstrip()[:1] in (b"{", b"["):
-            return _damage(self.bytes)
+            return _damage(self.bytes.decode("utf-8", "replace"))
         if self.text is not None:
             return (
                 f"a text, and no table with a cell below each name; it begins with {self.text.strip()[:40]!r}"
@@ -430,23 +423,22 @@ _NAMED: Final = (
 """What arrays or keys tell of files whose hands no reader knows"""
 
 
-def _damage(data: bytes) -> str:
+def _damage(text: str) -> str:
     """What is wrong with a JSON text, or with lines of it."""
-    text = data.decode("utf-8", "replace")
-    lines = [line for line in text.splitlines() if line.strip()]
-    for what, parts in (("lines of JSON", lines), ("JSON", [text])):
-        for number, part in enumerate(parts, 1):
-            try:
-                json.loads(part)
-            except ValueError as error:
-                if number > 1:
-                    return f"{what}, of which line {number} is damaged"
-                if what == "JSON":
-                    at = getattr(error, "lineno", 1)
-                    return f"damaged JSON: it breaks off, or has something that is no JSON in line {at}"
-                break
-            except RecursionError:
-                break
+    for number, line in enumerate((line for line in text.splitlines() if line.strip()), 1):
+        try:
+            json.loads(line)
+        except (ValueError, RecursionError):
+            if number > 1:
+                return f"lines of JSON, of which line {number} is damaged"
+            break
+    try:
+        json.loads(text)
+    except ValueError as error:
+        at = getattr(error, "lineno", 1)
+        return f"damaged JSON: it breaks off, or has something that is no JSON in line {at}"
+    except RecursionError:
+        pass
     return "JSON whose lists lie too deep in one another"
 
 
@@ -500,8 +492,11 @@ def _plain_of(data: bytes, contents: Callable[[str], bytes] | None = None) -> An
         raise safe_pickle.Refused("is damaged") from error
 
 
-def _listed(held: Any) -> str:
-    return f"a list of {len(held)}" if isinstance(held, list) else "a single value"
+def _held(value: Any) -> str:
+    """What an object of JSON or Python has in it."""
+    if isinstance(value, dict):
+        return _some(value)
+    return f"a list of {len(value)}" if isinstance(value, list) else "a single value"
 
 
 def _some(names: Iterable[Any]) -> str:

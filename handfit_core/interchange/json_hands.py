@@ -170,7 +170,10 @@ def _flat(value: list[Any]) -> bool:
 def is_hand(value: Any) -> bool:
     """True if this is one hand rather than a list of hands."""
     if isinstance(value, Mapping):
-        return "landmark" in value or sum(place_of(key) is not None for key in value) >= NUM_KEYPOINTS // 2
+        places = [
+            key for key, point in value.items() if place_of(key) is not None and not _is_frame(key, point)
+        ]
+        return "landmark" in value or len(places) >= NUM_KEYPOINTS // 2
     if not isinstance(value, list) or not value:
         return isinstance(value, np.ndarray)
     first = next((each for each in value if each is not None), None)
@@ -179,6 +182,12 @@ def is_hand(value: Any) -> bool:
     if isinstance(first, Mapping):
         return {"x", "y"} <= {key.lower() for key in first if isinstance(key, str)}
     return isinstance(first, list) and 2 <= len(first) <= 4 and all(isinstance(n, int | float) for n in first)
+
+
+def _is_frame(key: str, value: Any) -> bool:
+    """True if a key counts a frame, which has lists or objects in it, rather than a point."""
+    within = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
+    return key.isdigit() and (len(within) > 8 or any(isinstance(each, list | Mapping) for each in within))
 
 
 def _numbers(hand: Any, columns: Mapping[int, str]) -> tuple[np.ndarray, bool]:
@@ -207,7 +216,10 @@ def _numbers(hand: Any, columns: Mapping[int, str]) -> tuple[np.ndarray, bool]:
             )
         hand = [hand[i : i + size] for i in range(0, len(hand), size)]
     points = [_point(value, columns) for value in hand]
-    return np.array(points, dtype=np.float64).reshape(-1, len(_AXES)), named
+    try:
+        return np.array(points, dtype=np.float64).reshape(-1, len(_AXES)), named
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError("a point has something that is no number") from error
 
 
 def _point(value: Any, columns: Mapping[int, str]) -> list[Any]:

@@ -24,7 +24,9 @@ from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source
 from handfit_core.take import is_take
 
-DATA_SUFFIXES: Final = frozenset(".json .jsonl .csv .tsv .trc .txt .npz .npy .bvh .pkl .pth .pt".split(" "))
+DATA_SUFFIXES: Final = frozenset(
+    ".json .jsonl .csv .tsv .trc .txt .npz .npy .bvh .pkl .pickle .joblib .pth .pt".split()
+)
 """Endings of files that are read as recordings, whatever they are"""
 
 NO_RATE: Final = f"frames per second are not told: {DEFAULT_FPS:g} (--fps tells them)"

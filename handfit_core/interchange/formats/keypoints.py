@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,7 +17,6 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.interchange.document import Document, Table
 from handfit_core.interchange.frames import (
     Frames,
-    arrays_of,
     frames_of_arrays,
     in_order,
     objects_in,
@@ -133,7 +131,7 @@ ARIA: Final = PointLayout(
     "Aria",
     "the glasses' hand_tracking_results.csv",
     "https://facebookresearch.github.io/projectaria_tools/docs/data_formats/mps/hand_tracking",
-    table=lambda table: {"tracking_timestamp_us", "tx_left_landmark_0_device"} <= set(table.columns),
+    marks=("tracking_timestamp_us tx_left_landmark_0_device",),
     order="aria",
     persons="one",
     units={"metres": 1.0},
@@ -149,8 +147,7 @@ XR_POINTS: Final = PointLayout(
     "A headset's joints",
     "places of joints by OpenXR's, MRTK's or visionOS' names",
     "https://registry.khronos.org/OpenXR/specs/1.1/man/html/XrHandJointEXT.html",
-    table=lambda table: is_hand_table(table) and _names_xr(table.columns),
-    recognises=lambda document: any(map(_names_xr_hand, map(objects_in, some_contents(document)))),
+    names=lambda names: sum(short(name).removesuffix("x") in XR_NAMES for name in names) >= 8,
     columns="xyz",
     order="mediapipe",
     persons="one",
@@ -180,7 +177,7 @@ ARRAYS: Final = PointLayout(
     "Points in an array",
     "a .npy, .npz, pickle or table of numbers: frames by points by x, y (z)",
     "docs/interchange.md",
-    recognises=lambda document: bool(arrays_of(document)),
+    recognises=lambda document: bool(points_among(document.arrays)),
     units={"metres": 1.0, "millimetres": 1e-3, "centimetres": 1e-2},
     up="camera",
     met="a pickle of dex-retargeting (2026-11)",
@@ -188,27 +185,12 @@ ARRAYS: Final = PointLayout(
 )
 
 
-def _names_xr(names: Iterable[str]) -> bool:
-    """True if most joints are called as headsets call them."""
-    return sum(short(name).removesuffix("x") in XR_NAMES for name in names) >= 8
-
-
-def _names_xr_hand(objects: Iterable[Mapping[str, Any]]) -> bool:
-    return any(_names_xr(islice(each, 100)) for each in objects)
-
-
-def _names_apples(rows: Iterable[Iterable[str]]) -> bool:
-    """Whether cells or keys of objects are Vision's names."""
-    return any(is_apple(name) for names in rows for name in islice(names, 200))
-
-
 APPLE_VISION: Final = PointLayout(
     "apple-vision",
     "Apple Vision",
     "JSON or CSV with its names (VNHLKITIP, indexTip)",
     "https://developer.apple.com/documentation/vision/vnhumanhandposeobservation",
-    table=lambda table: is_hand_table(table) and _names_apples((table.columns, *table.rows[:50])),
-    recognises=lambda document: any(map(_names_apples, map(objects_in, some_contents(document)))),
+    names=lambda names: any(map(is_apple, names)),
     columns="xy xyc xyzc",
     order="mediapipe",
     assumes="parts of the picture from below, or pixels",
@@ -251,10 +233,8 @@ def _of_arrays(document: Document) -> Frames | None:
     for folder in (document, Document(document.path / "output_data")):
         found = _hand_files(folder)
         if found and document.is_folder:
-            arrays = {
-                name: array for name, file in found.items() if (array := Document(file).npy) is not None
-            }
-            return frames_of_arrays(document, points_among(arrays), 0)
+            arrays = {name: Document(file).npy for name, file in found.items()}
+            return frames_of_arrays(document, arrays, 0)
     return None
 
 
@@ -286,7 +266,8 @@ FREEMOCAP: Final = PointLayout(
     "FreeMoCap",
     "output_data, its arrays or its tables, of versions 1 and 2",
     "https://github.com/freemocap/freemocap/tree/main/freemocap/system/paths_and_filenames",
-    table=lambda table: {"keypoint", "trajectory"} <= set(table.columns) or _in_space(table),
+    marks=("keypoint trajectory",),
+    table=_in_space,
     recognises=lambda document: (
         bool(_hand_files(document) or _hand_files(Document(document.path / "output_data")))
         or (document.npy is not None and document.npy.shape[1:] == (553, 3))
@@ -414,10 +395,7 @@ POINTS_TABLE: Final = PointLayout(
     "Points as a table",
     "our CSV",
     "docs/interchange.md",
-    table=lambda table: any(
-        {"frame", "side", "point", *axes.split()} <= set(table.columns)
-        for axes in ("x_px y_px", "x_m y_m z_m")
-    ),
+    marks=("frame side point x_px y_px", "frame side point x_m y_m z_m"),
     order="mediapipe",
     persons="one",
     met="ours",
