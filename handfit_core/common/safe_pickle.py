@@ -369,10 +369,7 @@ class _Reader(pickle._Unpickler):
 
     dispatch[pickle.BUILD[0]] = _load_build
 
-    def _load_empty_dict(self) -> None:
-        self.append(_Keyed())
-
-    dispatch[pickle.EMPTY_DICT[0]] = _load_empty_dict
+    dispatch[pickle.EMPTY_DICT[0]] = lambda self: self.append(_Keyed())
 
     def _load_dict(self) -> None:
         items, made = self.pop_mark(), _Keyed()

@@ -224,11 +224,10 @@ def _values(held: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple
 def _in_file(document: Document, part: _Part, most: int | None) -> Iterator[_Part]:
     """The hands among the first `most` values of a file, each with what stands around it."""
     layout, nested = part.layout, part.layout.nested.split()
-    held = document.held
+    held = document.npy if document.held is None else document.held
     if document.npz is not None:
         known = {*layout.wanted, *layout.sides, *nested}
         held = {name: document.value(name) for name in document.names if layout.plain(name) in known}
-    held = document.npy if held is None else held
     if isinstance(held, list) and len(held) == len(layout.listed.split()):
         held = dict(zip(layout.listed.split(), held, strict=True))
     found: dict[tuple[str | int, ...], dict[str, Any]] = {}

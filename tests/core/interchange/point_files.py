@@ -270,13 +270,18 @@ def trc(path: Path, *markers: str) -> Path:
     return path
 
 
-def annotations() -> dict[str, Any]:
-    """COCO-WholeBody's, of one person in each picture."""
-    people = [
-        {"image_id": 100 + row, "category_id": 1, "keypoints": [0.0] * 51}
-        | {f"{side}hand_kpts": triples(TOLD.pixels[side][row], 2.0) for side in SIDES}
-        for row in range(FRAMES)
-    ]
+def annotations(halpe: bool = False) -> dict[str, Any]:
+    """COCO-WholeBody's, of one person in each picture, or Halpe's, which have whole bodies in one list."""
+    people = [{"image_id": 100 + r, "keypoints": each["keypoints"]} for r, each in enumerate(alphapose(136))]
+    people = (
+        people
+        if halpe
+        else [
+            {"image_id": 100 + row, "category_id": 1, "keypoints": [0.0] * 51}
+            | {f"{side}hand_kpts": triples(TOLD.pixels[side][row], 2.0) for side in SIDES}
+            for row in range(FRAMES)
+        ]
+    )
     return {"images": [{"id": 100, "width": WIDTH, "height": HEIGHT}], "annotations": people}
 
 
