@@ -71,7 +71,7 @@ class SeenHands(Batch):
         world = np.broadcast_to(
             np.array(world if len(row) else np.nan, dtype=np.float64), told[..., :3].shape
         )
-        if np.any(np.abs(told) > LARGEST) or np.any(np.abs(world) > LARGEST):
+        if np.any(np.abs(np.delete(told, 3, axis=-1)) > LARGEST) or np.any(np.abs(world) > LARGEST):
             raise ValueError(f"a point lies beyond {LARGEST:g}")
         told, world = (np.where(np.isfinite(each), each, np.nan) for each in (told, world))
         points, sure = told[..., :3], told[..., 3]
