@@ -88,10 +88,8 @@ def bones_of(armature: bpy.types.Object) -> Bones:
     parents = [-1 if bone.parent is None else index[bone.parent.name] for bone in bones]
     matrices = np.empty((len(names), 4, 4), dtype=np.float32)
     tails = np.empty((len(names), 3), dtype=np.float32)
-    inherits = np.empty(len(names), dtype=bool)
     bones.foreach_get("matrix_local", matrices.ravel())
     bones.foreach_get("tail_local", tails.ravel())
-    bones.foreach_get("use_inherit_rotation", inherits)
     matrices = np.swapaxes(matrices, -1, -2).astype(np.float64)  # Blender stores columns
     return Bones(
         names,
@@ -99,7 +97,6 @@ def bones_of(armature: bpy.types.Object) -> Bones:
         matrices[:, :3, 3].copy(),
         tails.astype(np.float64),
         matrices[:, :3, :3].copy(),
-        inherits,
     )
 
 

@@ -54,23 +54,18 @@ class Batch:
 
     def replaced(self, index: np.ndarray, rows: Self) -> Self:
         """A copy with the rows numbered by `index` replaced by `rows`."""
+        whole = self._empty(len(self))
+        whole.overwrite(slice(None), self)
+        whole.overwrite(index, rows)
+        return whole
 
-        def put(mine: Any, theirs: Any) -> Any:
-            if isinstance(mine, Batch):
-                return mine.replaced(index, theirs)
-            mine = mine.copy()
-            mine[index] = theirs
-            return mine
-
-        return self._with(**{name: put(value, getattr(rows, name)) for name, value in self._rows()})
-
-    def overwrite(self, index: Index, other: Self) -> None:
-        """Overwrite the rows at `index` with those of `other`, in place."""
+    def overwrite(self, index: Index, rows: Self) -> None:
+        """Replace the rows at `index` with `rows`, in place."""
         for name, value in self._rows():
             if isinstance(value, Batch):
-                value.overwrite(index, getattr(other, name))
+                value.overwrite(index, getattr(rows, name))
             else:
-                value[index] = getattr(other, name)[index]
+                value[index] = getattr(rows, name)
 
     @classmethod
     def collect(cls, count: int, parts: Iterable[Self]) -> Self:
@@ -82,7 +77,9 @@ class Batch:
         for part in parts:
             if whole is None:
                 whole = part._empty(count)
-            first += whole._put(first, part)
+            last = first + len(part)
+            whole.overwrite(slice(first, last), part)
+            first = last
         assert whole is not None
         return whole if first == count else whole.select(slice(first))
 
@@ -96,16 +93,6 @@ class Batch:
                 for name, value in self._rows()
             }
         )
-
-    def _put(self, first: int, part: Self) -> int:
-        """Overwrite the rows from `first` on with those of `part`; returns how many they are."""
-        for name, value in self._rows():
-            rows = getattr(part, name)
-            if isinstance(value, Batch):
-                value._put(first, rows)
-            else:
-                value[first : first + len(rows)] = rows
-        return len(part)
 
     @classmethod
     def concatenate(cls, parts: Sequence[Self]) -> Self:

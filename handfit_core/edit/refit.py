@@ -94,12 +94,7 @@ def _seen_hand(loaded: HandModel, model: str, side: Side) -> RefineHand:
     pixels = camera.project(points)
     pins = np.full((1, NUM_KEYPOINTS, 2), np.nan)
     depth = (points[..., 2:] - points[:, :1, 2:]) * camera.fx / points[..., 2:].mean()
-    detections = Detections(
-        frame=np.zeros(1, dtype=int),
-        side=np.array([SIDES.index(side)]),
-        score=np.array([0.9]),
-        keypoints=np.concatenate([pixels, depth], axis=2),
-        world=points - points.mean(axis=1),
-    )
+    keypoints, world = np.concatenate([pixels, depth], axis=2), points - points.mean(axis=1)
+    detections = Detections.hand(side, 0.9, keypoints[0], world[0])
     locked = np.zeros(NUM_JOINTS, dtype=bool)
     return RefineHand(side, np.zeros(NUM_BETAS), *pose, camera, detections, pins, locked, model)

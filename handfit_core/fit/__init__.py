@@ -21,7 +21,7 @@ def _per_frame(_smoothing: float, hand_length: float | None) -> TrackSolver:
     return _fast(0.0, hand_length)
 
 
-FAST = Solver(_fast, "Fast", "Smooth over time", smooths=True, takes_hand_length=True)
+FAST = Solver(_fast, "Fast", "Smooth over time", takes_hand_length=True)
 FAST_PER_FRAME = Solver(
     _per_frame, "Fast, Per Frame", "Other frames tell the hand's shape only", takes_hand_length=True
 )

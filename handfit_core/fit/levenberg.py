@@ -108,7 +108,7 @@ def solve(
         better = (after < before) & active
         if not better.all() and better.any():
             candidate = candidate.where(better, state)
-            tried.overwrite(~better, blocks)
+            tried.overwrite(~better, blocks.select(~better))
         if better.any():
             state, blocks = candidate, tried
         # Continuous in the gain ratio, so that nearly equal problems stay so.

@@ -60,8 +60,6 @@ class Solver:
     """For lists, in title case"""
     description: str
     """One line for those who choose"""
-    smooths: bool = False
-    """True if it takes notice of smoothing"""
     takes_hand_length: bool = False
     """True if it takes notice of a given length"""
     slow: bool = False

@@ -14,20 +14,17 @@ _SKIN: Final = np.linspace([52, 26, 22], [255, 222, 196], 256).round().astype(np
 """(256, 3) RGB from the dark to full light"""
 
 
-def drawn_pose(
-    model: HandModel, hand_pose: np.ndarray, size: int, turned: float = 25.0, raised: float = 8.0
-) -> np.ndarray:
+def drawn_pose(model: HandModel, hand_pose: np.ndarray, size: int) -> np.ndarray:
     """(size, size, 2) uint8 light and alpha, top row first: a right hand in the pose (45,), radians.
 
-    Its fingers point up and its palm faces the viewer, who has walked `turned` degrees around it, positive
-    towards its thumb, and looks down by `raised` degrees.
+    Its fingers point up and its palm faces the viewer, who has walked 25 degrees around it, towards its
+    thumb, and looks down by 8 degrees.
     """
     still = np.zeros(3)
     points = model.posed(None, still, hand_pose, still).vertices
-    points = points @ np.array(
-        [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]
-    )  # right, up, to the viewer
-    a, b = np.radians([turned, raised])
+    # Right, up, to the viewer
+    points = points @ np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    a, b = np.radians([25.0, 8.0])
     around = np.array([[np.cos(a), 0.0, -np.sin(a)], [0.0, 1.0, 0.0], [np.sin(a), 0.0, np.cos(a)]])
     down = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(b), -np.sin(b)], [0.0, np.sin(b), np.cos(b)]])
     points = points @ (down @ around).T

@@ -14,12 +14,9 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_KEYPOINTS
+from handfit_core.common.skeleton import FINGER_JOINTS, NUM_KEYPOINTS
 from handfit_core.hand_model.anatomy import LANDMARKS_FILE, anatomical_axes
 from handfit_core.hand_model.data import HandModel
-
-LANDMARK_BONES: Final = (0, *(FINGER_JOINTS[f][min(k, 2)] for f in FINGERS for k in range(4)))
-"""The joint whose bone carries each of the 21 landmarks; a fingertip belongs to the last bone."""
 
 
 @dataclass(frozen=True, eq=False)

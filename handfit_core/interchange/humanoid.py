@@ -139,7 +139,6 @@ def t_pose(source: SourceHand) -> tuple[TargetHand, np.ndarray]:
         places,
         places,
         np.broadcast_to(np.eye(3), (len(places), 3, 3)),
-        np.ones(len(places), dtype=bool),
     )
     hand_map = HandMap(source.side, names, thumb_roll=USUAL_THUMB_ROLL)
     return target_hand(bones, hand_map, source), heads - heads[0] + BODY[names[0]][1]

@@ -22,8 +22,6 @@ class Bones:
     """(B, 3) where each bone ends; imported rigs have tails that mean nothing"""
     frames: np.ndarray
     """(B, 3, 3) each bone's axes, X, Y and Z in columns; Y is along the bone"""
-    inherits: np.ndarray
-    """(B,) bool: true if the bone turns with its parent"""
 
     @cached_property
     def index(self) -> dict[str, int]:

@@ -339,7 +339,9 @@ class _Chains:
 
     def problem(self, standing: np.ndarray, found: Touches) -> _Problem:
         """The problem of N frames with touches, whose bones stand as captured: (N, K, 3, 3)."""
-        whole = self.whole(standing)
+        # How bones are turned from where ours rest, in our rest space
+        laid = self.target.aligned.T @ standing @ np.swapaxes(self.target.rest, -1, -2)
+        whole = laid @ np.swapaxes(self.target.corrected, -1, -2) @ self.target.aligned
         local = whole.copy()
         for k, parent in enumerate(self.target.parents):
             if parent >= 0:
@@ -347,11 +349,6 @@ class _Chains:
         angles = rotmat_to_euler(np.swapaxes(self.axes, -1, -2) @ local @ self.axes)
         pairs = self.pairs[found.weights[:, self.pairs].any(axis=0)]
         return _Problem(replace(self, pairs=pairs), angles, found.of(pairs))
-
-    def whole(self, standing: np.ndarray) -> np.ndarray:
-        """How bones (N, K, 3, 3) are turned from where ours rest, in our rest space."""
-        laid = self.target.aligned.T @ standing @ np.swapaxes(self.target.rest, -1, -2)
-        return laid @ np.swapaxes(self.target.corrected, -1, -2) @ self.target.aligned
 
 
 @dataclass(frozen=True, eq=False)
@@ -419,8 +416,8 @@ class _Problem(Batch):
                 places[:, k] = places[:, parent] + whole[:, parent] @ chains.starts[k]
         return whole, places, angles
 
-    def forward(self, x: np.ndarray, jacobian: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals (N, P, 3), and with `jacobian`, how they change with x: (N, P, 3, U)."""
+    def forward(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (N, P, 3), and their derivatives by x: (N, P, 3, U)."""
         chains = self.chains
         whole, places, angles = self.posed(x)
         pairs = PAIRS[chains.pairs]
@@ -429,8 +426,6 @@ class _Problem(Batch):
         last = chains.last[pairs]
         points = places[:, last] + (whole[:, last] @ skins[..., None])[..., 0]  # (N, P, 2, 3)
         off = points[:, :, 0] - points[:, :, 1] - self.touching.ways
-        if not jacobian:
-            return off, np.empty(0)
         # Twist is about the joint's own axis at rest, spread about one that the twist has turned, and bend
         # about one that both have.
         own = angles[:, chains.bones]
@@ -469,7 +464,7 @@ class _Problem(Batch):
         # Angles that are beyond their range already may stay there.
         low = np.clip(chains.lower - captured, -TOUCHES.max_turn[0], 0.0)
         high = np.clip(chains.upper - captured, 0.0, TOUCHES.max_turn[0])
-        slopes = self.forward(np.zeros_like(about), jacobian=True)[1]
+        slopes = self.forward(np.zeros_like(about))[1]
         about = np.clip(about, low, high)
         if again:
             low = np.maximum(low, about - TOUCHES.max_turn[1])
@@ -496,7 +491,7 @@ class _Bounded(LeastSquares):
 
     def blocks(self, state: _Turns) -> _System:
         """Their normal equations."""
-        off, slopes = self.frames.forward(state.x, jacobian=True)
+        off, slopes = self.frames.forward(state.x)
         flat = slopes.reshape(len(off), -1, slopes.shape[-1])
         pull = np.swapaxes((self.stiffness @ slopes).reshape(flat.shape), -1, -2)
         turn_cost, away = self.frames.chains.turn_cost, state.x - self.about

@@ -214,7 +214,6 @@ def _posed(skeleton: _Skeleton, numbers: np.ndarray) -> tuple[AnimatedBones, flo
         rest,
         rest[[first_children.get(bone, bone) for bone in range(bones)]],
         np.broadcast_to(np.eye(3), (bones, 3, 3)),
-        np.ones(bones, dtype=bool),
     )
     return AnimatedBones(found, turned, heads), largest
 

@@ -137,11 +137,7 @@ def grasp(kind: str, side: Side, betas: np.ndarray) -> tuple[Shape, np.ndarray]:
 
 def hand_of(side: Side, betas: np.ndarray, pose: np.ndarray) -> RefineHand:
     count = len(pose)
-    none = Detections(
-        frame=np.zeros(0, dtype=int), side=np.zeros(0, dtype=int), score=np.zeros(0),
-        keypoints=np.zeros((0, 21, 3)), world=np.zeros((0, 21, 3)),
-    )  # fmt: skip
-    place = np.tile(PLACE, (count, 1))
+    none, place = Detections.of([]), np.tile(PLACE, (count, 1))
     pins, free = np.full((count, 21, 2), np.nan), np.zeros(NUM_JOINTS, dtype=bool)
     return RefineHand(side, betas, np.zeros((count, 3)), pose, place, CAMERA, none, pins, free)
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handfit_core.common.skeleton import SIDES
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, SIDES
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.hand_model.anatomy import anatomical_axes
-from handfit_core.hand_model.landmarks import LANDMARK_BONES, NO_OFFSETS, Landmarks, bone_axes, hand_length
+from handfit_core.hand_model.landmarks import NO_OFFSETS, Landmarks, bone_axes, hand_length
 from handfit_core.hand_model.length import betas_of_length, flat_hand_length, length_rates
 from tests.imitation_mano import imitation_model
 
@@ -23,13 +23,13 @@ def model(request: pytest.FixtureRequest) -> HandModel:
 def test_left_offsets_are_mirrored() -> None:
     """In the model frame, x changes its sign; bones have their anatomical axes."""
     landmarks = Landmarks(np.random.default_rng(0).normal(size=(21, 3)) * 0.05)
-    in_model = {}
+    in_model, carrying = {}, [0, *(FINGER_JOINTS[f][min(k, 2)] for f in FINGERS for k in range(4))]
     for side in SIDES:
         hand = load_model(None, side)
         axes = bone_axes(hand)
         np.testing.assert_array_equal(axes, [np.eye(3), *anatomical_axes(hand)])
         placed = landmarks.in_metres(hand)
-        in_model[side] = np.einsum("kab,kb->ka", axes[list(LANDMARK_BONES)], placed)
+        in_model[side] = np.einsum("kab,kb->ka", axes[carrying], placed)
         assert not NO_OFFSETS.in_metres(hand).any()
     np.testing.assert_allclose(in_model["left"], in_model["right"] * [-1.0, 1.0, 1.0], atol=1e-9)
 

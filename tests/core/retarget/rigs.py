@@ -179,9 +179,7 @@ class Built:
         count = len(self.names)
         frames = np.broadcast_to(np.eye(3), (count, 3, 3))
         heads = np.array(self.heads)
-        return Bones(
-            tuple(self.names), np.array(self.parents), heads, heads + 0.01, frames, np.ones(count, dtype=bool)
-        )
+        return Bones(tuple(self.names), np.array(self.parents), heads, heads + 0.01, frames)
 
 
 def add_hand(

@@ -53,7 +53,7 @@ def body(pose: str = "T", twists: bool = False, turn: np.ndarray | None = None, 
     points = scale * np.array(heads, dtype=float) @ turn.T
     count, rng = len(names), np.random.default_rng(3)
     frames = rotvec_to_rotmat(rng.normal(size=(count, 3)))
-    return Bones(tuple(names), np.array(parents), points, points + 0.01, frames, np.ones(count, dtype=bool))
+    return Bones(tuple(names), np.array(parents), points, points + 0.01, frames)
 
 
 def arm(side: Side, *args, **fields) -> TargetArm:

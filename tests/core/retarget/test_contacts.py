@@ -277,7 +277,7 @@ def test_slopes_are_those_of_differences(finger):
     chains = contacts._Chains.of(target, source("right"), skins("right"), np.ones(15, dtype=bool))
     problem = chains.problem(target.standing(turns), found)
     x = rng.normal(scale=0.2, size=(2, len(chains.bones)))
-    _, slopes = problem.forward(x, jacobian=True)
+    _, slopes = problem.forward(x)
     every = by_each(lambda at: problem.forward(at)[0], x).reshape(*slopes.shape[:3], 2, -1)
     for row in range(2):
         np.testing.assert_allclose(slopes[row], every[row, :, :, row], atol=1e-8)

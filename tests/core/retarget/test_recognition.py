@@ -40,7 +40,7 @@ def rebuilt(bones: Bones, order: Sequence[int], parents: np.ndarray) -> Bones:
     """The bones in another order, with other parents."""
     place = {bone: number for number, bone in enumerate(order)}
     above = np.array([place.get(int(parents[bone]), -1) for bone in order])
-    arrays = (array[list(order)] for array in (bones.heads, bones.tails, bones.frames, bones.inherits))
+    arrays = (array[list(order)] for array in (bones.heads, bones.tails, bones.frames))
     return Bones(tuple(bones.names[bone] for bone in order), above, *arrays)
 
 

@@ -45,7 +45,7 @@ def own_bones(side: Side, moved: dict[int, np.ndarray] | None = None) -> tuple[B
     frames = np.broadcast_to(np.eye(3), (16, 3, 3))
     tips = joints + 0.01
     return (
-        Bones(tuple(JOINT_NAMES), np.array(PARENTS), joints, tips, frames, np.ones(16, dtype=bool)),
+        Bones(tuple(JOINT_NAMES), np.array(PARENTS), joints, tips, frames),
         HandMap(side, tuple(JOINT_NAMES)),
     )
 

@@ -78,7 +78,6 @@ def own_hand(side: Side) -> TargetHand:
         axes.points_to_rest(shaped.joints),
         axes.points_to_rest(axes.bone_tails(shaped)),
         axes.bone_frames(shaped, side),
-        np.ones(NUM_JOINTS, dtype=bool),
     )
     return target_hand(bones, HandMap(side, JOINT_NAMES), source(side))
 
@@ -245,8 +244,8 @@ def test_size_is_that_of_the_palm():
     names = tuple(JOINT_NAMES)
     for factor in (0.01, 1.0, 250.0):
         heads = factor * own.joints
-        frames, inherits = np.tile(np.eye(3), (NUM_JOINTS, 1, 1)), np.ones(NUM_JOINTS, dtype=bool)
-        bones = Bones(names, np.array(PARENTS), heads, heads + 0.01 * factor, frames, inherits)
+        frames = np.tile(np.eye(3), (NUM_JOINTS, 1, 1))
+        bones = Bones(names, np.array(PARENTS), heads, heads + 0.01 * factor, frames)
         hand = target_hand(bones, HandMap("right", names), own)
         assert hand.scale == pytest.approx(factor)
         np.testing.assert_allclose(hand.wrist, heads[0])
@@ -285,7 +284,6 @@ def test_refuses_hand_bone_as_finger(side):
         np.concatenate([bones.heads[:1] - 1.0, bones.heads]),
         np.concatenate([bones.heads[:1], bones.tails]),
         np.concatenate([bones.frames[:1], bones.frames]),
-        np.array([True, *bones.inherits]),
     )
     good = table(bones, side, fold=0.5)
     target_hand(bones, good, source(side))
@@ -311,7 +309,7 @@ def test_where_fingers_end():
     ):
         count, (at, ends) = len(heads), np.array([heads, tails], dtype=float)
         names, frames = tuple(map(str, range(count))), np.tile(np.eye(3), (count, 1, 1))
-        bones = Bones(names, np.array(parents), at, ends, frames, np.ones(count, dtype=bool))
+        bones = Bones(names, np.array(parents), at, ends, frames)
         np.testing.assert_allclose(finger_end(bones, [0, 1, 2]), end)
 
 
