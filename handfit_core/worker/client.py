@@ -7,13 +7,12 @@ docs/worker-protocol.md lists the messages.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
 
 from handfit_core.common.errors import Cancelled
 from handfit_core.common.version import __version__
-from handfit_core.worker.events import Event, WorkerError, as_error, encode
+from handfit_core.worker.events import Event, WorkerError, encode
 from handfit_core.worker.interpreter import (
     EXIT_UNFIT,
     PYTHON_VARIABLE,
@@ -26,8 +25,6 @@ from handfit_core.worker.process import ChildProcess
 
 _START_SECONDS = 60.0
 """seconds until a started process must have said that it is ready"""
-_POLL_SECONDS = 0.05
-"""seconds that one look at a process waits for news"""
 _STOP_SECONDS = 0.03
 """seconds that Blender's main thread gives a process to end by itself; one that has loaded torch needs some
 0.1, all of it to give back memory"""
@@ -45,8 +42,8 @@ ENDED = (
 class Worker:
     """One process that captures. It starts with the first request; after a crash the next one starts another.
 
-    Nothing but `wait` blocks, and `stop` for a moment. No thread runs for it: what the process says is taken
-    in by `events` and `wait`, and it works on only as long as somebody calls them.
+    Nothing blocks, but `stop` for a moment. No thread runs for it: what the process says is taken in by
+    `events`, and it works on only as long as somebody calls that.
     """
 
     def __init__(
@@ -70,7 +67,7 @@ class Worker:
         self._child: ChildProcess | None = None
         self._last_child: ChildProcess | None = None
         self.ready: Event | None = None
-        """The process's `ready` event, with its versions; None until `events` or `wait` has seen it"""
+        """The process's `ready` event, with its versions; None until `events` has seen it"""
         self._start_deadline = 0.0
         self._number = 0
         self._open: dict[int, str] = {}
@@ -162,32 +159,6 @@ class Worker:
             self._collect(wait)
             found = self._take_events(ids)
         return found
-
-    def wait(
-        self, request: int, on_event: Callable[[Event], None] | None = None, timeout: float | None = None
-    ) -> Event:
-        """Block until a request is done; returns its `done` event. `on_event` gets the events before.
-
-        Raises the HandfitError that the request ended in (InputError, NoHandFoundError, Cancelled, ...) or
-        WorkerError. After `timeout` seconds everything is ended, and with it every open request.
-        """
-        kind = self._open.get(request, "request")
-        deadline = None if timeout is None else time.monotonic() + timeout
-        while True:
-            for event in self.events(request, wait=_POLL_SECONDS):
-                if event["event"] == "done":
-                    return event
-                if event["event"] == "error":
-                    raise as_error(event)
-                if on_event:
-                    on_event(event)
-            if request not in self._open:
-                raise ValueError(f"request {request} does not exist, or was answered before")
-            if deadline is not None and time.monotonic() > deadline:
-                self._give_up(
-                    f"the {kind} took longer than {timeout:g} seconds and was stopped; allow it more time, "
-                    "or give it fewer frames"
-                )
 
     def stop(self, seconds: float = _STOP_SECONDS) -> None:
         """End the process; open requests get an `error` of type Cancelled.

@@ -23,6 +23,7 @@ from handfit_core.capturing.options import OPTIONS, CaptureOptions
 from handfit_core.common.errors import HandfitError, OutputError
 from tests.conftest import ROOT
 from tests.drawn import drawn
+from tests.waiting import answered
 
 from .conftest import READY, write_png
 
@@ -151,7 +152,7 @@ def test_one_worker_until_the_preferences_change_and_it_is_free(registered, peer
     request = worker.submit("warm")
     preferences.get().threads = 2
     assert shared_worker.worker() is worker
-    worker.wait(request, timeout=20)
+    answered(worker, request, timeout=20)
     other = shared_worker.worker()
     assert other is not worker
     assert shared_worker.current() is other
@@ -218,7 +219,7 @@ def test_the_panel_offers_the_plug_ins_that_the_worker_tells_of(registered, peer
     assert not {"solver", "detector"} & set(drawn(MANIENT_PT_advanced).said.split())
     preferences.get().python = peer(f"answers = True{PEER}")
     worker = shared_worker.worker()
-    worker.wait(worker.submit("warm"), timeout=20)
+    answered(worker, worker.submit("warm"), timeout=20)
     assert {"solver", "detector"} <= set(drawn(MANIENT_PT_advanced).said.split())
     assert [shared_worker.detectors(), shared_worker.solvers()] == [
         ["mediapipe", "bright-spot"],

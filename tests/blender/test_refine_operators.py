@@ -38,6 +38,7 @@ from handfit_core.worker.client import Worker
 from tests.capturing import needs_capture
 from tests.drawn import drawn
 from tests.takes import seen_as
+from tests.waiting import answered
 
 from .conftest import READY, joint_heads
 from .importing import imported, read_back
@@ -65,7 +66,7 @@ def take_file(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("captured") / "hand.take.npz"
     pictures = sorted(str(p) for p in (ROOT / "samples" / "rendered_hand").glob("*.jpg"))
     with Worker() as worker:
-        worker.wait(worker.submit("capture", input=pictures, output=str(path)), timeout=300)
+        answered(worker, worker.submit("capture", input=pictures, output=str(path)), timeout=300)
     return path
 
 

@@ -48,6 +48,7 @@ from handfit_core.take import Take
 from handfit_core.worker.client import Worker
 from scripts.measure_live import pictures, stamp_of, stamped
 from tests.conftest import ROOT
+from tests.waiting import answered
 
 PATTERN = str(ROOT / "samples" / "rendered_hand" / "hand.%04d.jpg")
 CLIP = f"file:{PATTERN}"
@@ -567,10 +568,10 @@ def test_worker_follows_records_and_answers_others_afterwards(worker, station, t
     worker.tell(request, "live-record", output=None)
     recorded = until(worker, request, "recorded")
     worker.cancel(request)
-    done = worker.wait(request, timeout=PATIENCE)
+    done = answered(worker, request, timeout=PATIENCE)
     assert (recorded["output"], done["recording"]) == (path, None)
     assert done["frames"] >= done["shown"] > 0
-    probed = worker.wait(worker.submit("probe", input=[path]), timeout=PATIENCE)["frames"]
+    probed = answered(worker, worker.submit("probe", input=[path]), timeout=PATIENCE)["frames"]
     assert probed == pytest.approx(1.0 + recorded["seconds"] * recorded["fps"], abs=1.0)
 
 
@@ -585,7 +586,7 @@ def test_newest_pose_alone_waits_to_be_taken(worker, station):
     assert len(events) <= 1
     assert all(event["sequence"] > first["sequence"] for event in events)
     worker.cancel(request)
-    worker.wait(request, timeout=PATIENCE)
+    answered(worker, request, timeout=PATIENCE)
 
 
 @pytest.mark.parametrize(
@@ -599,7 +600,7 @@ def test_newest_pose_alone_waits_to_be_taken(worker, station):
 )
 def test_worker_says_what_is_wrong(worker, fields):
     with pytest.raises(HandfitError) as raised:
-        worker.wait(worker.submit("live", **fields), timeout=PATIENCE)
+        answered(worker, worker.submit("live", **fields), timeout=PATIENCE)
     assert type(raised.value) in (OptionError, InputError)
 
 

@@ -28,6 +28,7 @@ from handfit_core.worker import client
 from handfit_core.worker.client import ENDED, Worker
 from handfit_core.worker.events import THREAD_VARIABLES, Event, WorkerError
 from tests.conftest import ROOT
+from tests.waiting import answered
 
 FOLDER = ROOT / "samples" / "rendered_hand"
 PHOTO = str(FOLDER / "hand.0001.jpg")
@@ -62,7 +63,7 @@ def start(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
 
 def ask(worker: Worker, kind: str, **fields: Any) -> Event:
-    return worker.wait(worker.submit(kind, **fields), timeout=PATIENCE)
+    return answered(worker, worker.submit(kind, **fields), timeout=PATIENCE)
 
 
 def capture_of(folder: Path, frames: str | None = None, **options: Any) -> dict[str, Any]:
@@ -72,7 +73,7 @@ def capture_of(folder: Path, frames: str | None = None, **options: Any) -> dict[
 def test_captures(warm: Worker, tmp_path: Path) -> None:
     before: list[Event] = []
     request = warm.submit("capture", **capture_of(tmp_path, "1-4", hands="right", hand_length=0.1))
-    done = warm.wait(request, before.append, timeout=PATIENCE)
+    done = answered(warm, request, before.append, timeout=PATIENCE)
     assert {event["id"] for event in before} == {request}
     for stage in ("detect", "fit"):
         counts = [(e["done"], e["total"]) for e in before if e.get("stage") == stage]
@@ -140,7 +141,7 @@ def test_adds_arms_to_takes(warm: Worker, tmp_path: Path) -> None:
     first, second = str(tmp_path / "a.npz"), str(tmp_path / "b.npz")
     ask(warm, "capture", **capture_of(tmp_path, "1-3"))
     before: list[Event] = []
-    done = warm.wait(warm.submit("arms", take=first, output=second), before.append, timeout=PATIENCE)
+    done = answered(warm, warm.submit("arms", take=first, output=second), before.append, timeout=PATIENCE)
     last = [(e["stage"], e["done"], e["total"]) for e in before if e["event"] == "progress"][-1]
     assert last == ("arms", 3, 3)
     (hand,) = done["hands"]
@@ -264,8 +265,8 @@ def test_cancel_of_what_runs_and_what_waits(warm: Worker, tmp_path: Path) -> Non
     warm.cancel(waits)
     warm.cancel(runs)
     with pytest.raises(Cancelled, match="before it was begun"):
-        warm.wait(waits, timeout=PATIENCE)
-    done = warm.wait(runs, timeout=PATIENCE)
+        answered(warm, waits, timeout=PATIENCE)
+    done = answered(warm, runs, timeout=PATIENCE)
     assert done["stopped"]
     assert 1 <= done["frames"] < 24
     take = Take.load(tmp_path / "a.npz")
