@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from blender_manient.common import preferences
+from blender_manient.operators.base import finish
 from blender_manient.operators.capture import new_request
 from blender_manient.operators.find_hands import MANIENT_OT_find_hands, chosen_source
 from blender_manient.operators.modes.choice import FOUND_AGAIN, Choice, FoundHand
@@ -26,7 +27,6 @@ from handfit_core.detect.detector import Region
 from handfit_core.geometry.picture_map import mapped
 from tests.capturing import needs_capture
 from tests.drawn import drawn
-from tests.waiting import wait_for
 
 from .conftest import READY
 
@@ -215,20 +215,17 @@ def test_the_panel_offers_it_unless_another_program_has_found_them(settings, tmp
 def test_what_was_found_and_turned_is_built(settings, tmp_path):
     settings.source = str(shutil.copy(SAMPLE / "hand.0007.jpg", tmp_path / "hand.jpg"))
     source, picture = chosen_source(bpy.context), tmp_path / "shown.jpg"
-    worker = shared_worker.worker()
-    shown = wait_for(worker, worker.submit("find", **source.fields(picture=picture)), timeout=120)
+    shown = finish(shared_worker.ask("find", "", **source.fields(picture=picture)))
     assert (shown["width"], shown["height"], shown["hands"]) == (640, 480, [])
     assert picture.is_file()
-    found = wait_for(worker, worker.submit("find", **source.fields()), timeout=120)
+    found = finish(shared_worker.ask("find", "", **source.fields()))
     choice = Choice()
     choice.show(found["hands"], settings.hands)
     ((_, side, chosen),) = state(choice)
     assert (side, chosen) == ("right", True)
     box = tuple(np.add(choice.hands[0].box, [-20.0, -20.0, 40.0, 40.0]).tolist())
     known = [pack(choice.hands[0].points.astype(np.float32))]
-    (again,) = wait_for(worker, worker.submit("find", **source.fields(box), known=known), timeout=120)[
-        "hands"
-    ]
+    (again,) = finish(shared_worker.ask("find", "", **source.fields(box), known=known))["hands"]
     assert choice.add(FoundHand.of(again, drawn=box)) == FOUND_AGAIN
     choice.flip_side(choice.hands[0])
     regions = (*choice.regions(source.frame), Region(1.0, 1.0, 2.0, 2.0))

@@ -216,7 +216,7 @@ def gone(how: str, operator: Any, before: dict[str, list[str]], **arguments: Any
 
 def worker() -> int:
     """The process that captures."""
-    return module("session.shared_worker").current().pid
+    return module("session.shared_worker").current()._child.pid
 
 
 def finished(operator: Any, **arguments: Any) -> None:
