@@ -26,6 +26,11 @@ def action_slot(user: Any) -> Any:
     return getattr(user, "action_slot", None)
 
 
+def slot_key(slot: Any) -> str:
+    """What tells a slot from others of its action in notes on it; 0 before Blender 4.4."""
+    return str(slot.handle) if slot is not None else "0"
+
+
 def first_slot(action: bpy.types.Action) -> Any:
     """The first slot of an action that has one; None before Blender 4.4."""
     return action.slots[0] if _has_slots(action) else None
@@ -88,7 +93,7 @@ def used_actions(owner: bpy.types.Object, *, acting: bool = False) -> list[tuple
     found: dict[Any, tuple[Any, Any]] = {}
     for action, slot in used:
         if action is not None and (acting or action.is_editable):
-            found[action, slot.handle if slot is not None else 0] = (action, slot)
+            found[action, slot_key(slot)] = (action, slot)
     return list(found.values())
 
 

@@ -1,4 +1,4 @@
-"""The formats that Blender's own operators write: what each of these is told."""
+"""The formats that Blender's own operators write, with the arguments that each of these gets."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from handfit_core.common.files import check_room
 
 from ..common.blender_versions import gltf_left_out, usd_stage, with_textures
 from ..rigs.arm import has_arm
+from ..scene.own_scene import with_values
 from ..scene.timing import nearest_rate
 from .exporter import APART, Exporter, HandObjects, Preset, blank
 
@@ -37,8 +38,8 @@ class BlenderFormat:
     def write(self, path: Path, hands: Sequence[HandObjects], preset: Preset, _final: Path, /) -> None:
         """Write the file with the arguments of the format and of the preset."""
         with self.around(path, hands) as more:
-            told = {**self.arguments, **preset.keywords, **more}
-            _operator(self.operator)(filepath=str(path), check_existing=False, **told)
+            arguments = {**self.arguments, **preset.keywords, **more}
+            _operator(self.operator)(filepath=str(path), check_existing=False, **arguments)
 
     def read(self, path: Path, operator: str, /) -> set[str]:
         """Import a file into the open scene."""
@@ -191,12 +192,12 @@ class GltfExporter(BlenderFormat, Exporter):
             left_out.remove("manient")
 
     def missing(self, path: Path, bones: Sequence[str], /) -> str:
-        """Its first chunk tells of all nodes and animations."""
+        """Its first chunk lists all nodes and animations."""
         with path.open("rb") as stream:
             (size,) = struct.unpack("<12xI4x", stream.read(20))
-            told = json.loads(stream.read(size))
-        there = {node.get("name") for node in told.get("nodes", ()) if "skins" in told}
-        return _missing([bone for bone in bones if bone not in there], moves="animations" in told)
+            content = json.loads(stream.read(size))
+        there = {node.get("name") for node in content.get("nodes", ()) if "skins" in content}
+        return _missing([bone for bone in bones if bone not in there], moves="animations" in content)
 
     def read(self, path: Path, operator: str, /) -> set[str]:
         """Import a file, which has no frames, at the open scene's rate."""
@@ -209,15 +210,9 @@ def _missing(bones: Sequence[str], *, moves: bool) -> str:
     return f"the bone {bones[0]!r} and {len(bones) - 1} others" if bones else "" if moves else "any motion"
 
 
-@contextlib.contextmanager
-def _rate_turned(scene: bpy.types.Scene) -> Iterator[None]:
+def _rate_turned(scene: bpy.types.Scene) -> contextlib.AbstractContextManager[None]:
     """What Blender's glTF importer and exporter (4.2 to 5.2) multiply by, for what they should divide by."""
-    base = scene.render.fps_base
-    scene.render.fps_base = 1.0 / base
-    try:
-        yield
-    finally:
-        scene.render.fps_base = base
+    return with_values([(scene.render, "fps_base", 1.0 / scene.render.fps_base)])
 
 
 class _WindowlessContext:
@@ -272,7 +267,7 @@ class UsdExporter(BlenderFormat, Exporter):
         return _missing([bone for bone in named if re.sub(r"\W", "_", bone) not in there], moves=moves)
 
     def is_whole(self, stream: BinaryIO, size: int, /) -> bool:
-        """The header, written last, tells where the table of the sections is, which ends the file."""
+        """The header, written last, says where the table of the sections is, which ends the file."""
         magic, contents = struct.unpack("<8s8xq", stream.read(24))
         if magic != b"PXR-USDC" or not 24 <= contents < size:
             return False

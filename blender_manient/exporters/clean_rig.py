@@ -23,11 +23,13 @@ from handfit_core.retarget.bones import Bones
 from ..common.blender_versions import assign_action
 from ..rigs import rig_of
 from ..rigs.arm import has_arm, tree_with_arm
+from ..rigs.captured_hand import edited_bones
 from ..rigs.character import bones_of
 from ..rigs.controls import control_bones
 from ..scene.keys import new_curve
 from ..scene.sampling import Sampled, rotations_of, sample, stepped
-from .exporter import HandObjects
+from ..scene.store import is_deformed_by
+from .exporter import HandObjects, Preset
 
 
 @dataclass(frozen=True)
@@ -51,34 +53,30 @@ def clean_rig(
     hand: HandObjects,
     name: str,
     frames: Sequence[int],
-    *,
     metres_per_unit: float,
-    units: float = 1.0,
-    turn: np.ndarray | None = None,
+    preset: Preset,
     apart: float = 0.0,
 ) -> Iterator[CleanHand]:
     """A copy of the hand in the context's scene, whose armature object is called `name` (empty: as before).
 
-    `metres_per_unit` is the artist's scene's, `units` how many units of the file a metre is. `turn` (3, 3) is
-    the rotation that the file's axes need: it is done to the data and undone by the object. `apart` is that
-    of the exporter. The hand must be in that scene, which has the copy instead afterwards; its names are lent
-    to the copy. When this context ends the copy is gone. A character's mesh that a bone carries is deformed
-    by that bone alone in the copy; one that no bone of the copy moves has keys of its own, and no parent,
-    where it moves.
+    `metres_per_unit` is the artist's scene's. The preset's rotation is done to the data and undone by the
+    object. `apart` is that of the exporter. The hand must be in that scene, which has the copy instead
+    afterwards; its names are lent to the copy. When this context ends the copy is gone. A character's mesh
+    that a bone carries is deformed by that bone alone in the copy; one that no bone of the copy moves has
+    keys of its own, and no parent, where it moves.
     """
-    scene = bpy.context.scene
-    turned = np.eye(4)
-    if turn is not None:
-        turned[:3, :3] = turn
+    scene, units, turned = bpy.context.scene, preset.units, np.eye(4)
+    if preset.turn is not None:
+        turned[:3, :3] = preset.turn
     tree, standing = deforming_tree(hand.armature) if hand.side is None else ({}, {})
-    hung: dict[str, str] = {}
+    parents: dict[str, str] = {}
     if tree:
-        sampled = sample(hand.armature, frames, scene, tree).hung(tree)
+        sampled = sample(hand.armature, frames, scene, tree).reparented(tree)
     else:
         sampled = sample(hand.armature, frames, scene).without(control_bones(hand.armature).values())
         if has_arm(hand.armature):
-            hung = tree_with_arm(hand.armature, rig_of(hand.armature, hand.side).bones[0], sampled.names)
-            sampled = sampled.hung(hung)
+            parents = tree_with_arm(hand.armature, rig_of(hand.armature, hand.side).bones[0], sampled.names)
+            sampled = sampled.reparented(parents)
     size = metres_per_unit * float(np.cbrt(abs(np.linalg.det(sampled.world[0, :3, :3])))) * units
     grow = turned @ np.diag([size, size, size, 1.0])
     carriers = [_carrier(hand.armature, mesh) for mesh in hand.meshes]
@@ -123,13 +121,13 @@ def clean_rig(
                 placed = grow @ _at_rest(hand.armature, mesh, carrier)
             copied.data.transform(Matrix(placed), shape_keys=True)
             _retarget(copied, hand.armature, armature, tree)
-            if mesh not in places and not _has_modifier(armature, copied):
+            if mesh not in places and not is_deformed_by(copied, armature):
                 _deform_by(copied, armature, standing[carrier] if carrier else "")
         if not tree and control_bones(armature):
             rig_of(armature, hand.side).remove_controls()
         _plain_bones(armature)
-        if tree or hung:
-            _hang(armature, tree or hung)
+        if tree or parents:
+            _reparent(armature, tree or parents)
         actions.append(_bake(armature, sampled, turned @ in_metres @ sampled.world, size, frames))
         if apart and tree:
             far = np.abs(sampled.basis()[..., :3, 3]).max(axis=(0, 2)) * size > NEAR * units
@@ -170,13 +168,9 @@ def _carrier(armature: bpy.types.Object, mesh: bpy.types.Object) -> str:
     return mesh.parent_bone if mesh.parent == armature and mesh.parent_type == "BONE" else ""
 
 
-def _has_modifier(armature: bpy.types.Object, mesh: bpy.types.Object) -> bool:
-    return any(m.type == "ARMATURE" and m.object == armature for m in mesh.modifiers)
-
-
 def _deformed(armature: bpy.types.Object, mesh: bpy.types.Object) -> bool:
-    """Whether the armature deforms a mesh, by a modifier or as its parent."""
-    return _has_modifier(armature, mesh) or (mesh.parent == armature and mesh.parent_type == "ARMATURE")
+    """True if the armature deforms a mesh, by a modifier or as its parent."""
+    return is_deformed_by(mesh, armature) or (mesh.parent == armature and mesh.parent_type == "ARMATURE")
 
 
 def _places(
@@ -215,9 +209,9 @@ def _deform_by(mesh: bpy.types.Object, armature: bpy.types.Object, bone: str) ->
     mesh.modifiers.move(len(mesh.modifiers) - 1, 0)  # where Blender deforms by a parent
 
 
-def _hang(armature: bpy.types.Object, tree: Mapping[str, str]) -> None:
-    """Leave an armature of the context's scene the bones of a tree, as `deforming_tree` gives it."""
-    with _edited(armature) as bones:
+def _reparent(armature: bpy.types.Object, tree: Mapping[str, str]) -> None:
+    """Leave an armature the bones of a tree, as `deforming_tree` gives it."""
+    with edited_bones(armature.data) as bones:
         bones_left_out = [bone for bone in bones if bone.name not in tree]
         for bone in bones:
             bone.use_connect = False
@@ -228,9 +222,9 @@ def _hang(armature: bpy.types.Object, tree: Mapping[str, str]) -> None:
 
 
 def unconnect(armature: bpy.types.Object, moving: Collection[str], apart: float) -> None:
-    """Unconnect all bones of an armature of the context's scene. Those of them that move from their rest are
+    """Unconnect all bones of an armature. Those of them that move from their rest are
     put `apart` beside the end of the bone above, or Blender's importers would connect them again."""
-    with _edited(armature) as bones:
+    with edited_bones(armature.data) as bones:
         for bone in bones:
             bone.use_connect = False
             if bone.name not in moving or bone.parent is None:
@@ -238,15 +232,6 @@ def unconnect(armature: bpy.types.Object, moving: Collection[str], apart: float)
             aside = bone.parent.matrix.inverted() @ bone.head
             if np.hypot(aside.x, aside.z) < 0.6 * apart:
                 bone.translate(apart * bone.parent.x_axis)
-
-
-@contextlib.contextmanager
-def _edited(armature: bpy.types.Object) -> Iterator[bpy.types.ArmatureEditBones]:
-    bpy.context.view_layer.objects.active = armature
-    with bpy.context.temp_override(active_object=armature, object=armature):
-        bpy.ops.object.mode_set(mode="EDIT")
-        yield armature.data.edit_bones
-        bpy.ops.object.mode_set(mode="OBJECT")
 
 
 def _retarget(
@@ -330,10 +315,11 @@ def deforming_tree(armature: bpy.types.Object) -> tuple[dict[str, str], dict[str
     bones = bones_of(armature)
     deform = np.array([bone.use_deform for bone in armature.data.bones], dtype=bool)
     kept = np.flatnonzero(deform if deform.any() else ~deform)
-    hung: dict[int, int] = {}
+    parents: dict[int, int] = {}
     for bone in kept.tolist():
-        hung[bone] = _standing(bones, bones.ancestors(bone), bones.heads[bone], kept, _hanging(hung, bone))
-    names = ("" if bone < 0 else bones.names[bone] for bone in hung.values())
+        below = _descendants(parents, bone)
+        parents[bone] = _standing(bones, bones.ancestors(bone), bones.heads[bone], kept, below)
+    names = ("" if bone < 0 else bones.names[bone] for bone in parents.values())
     tree = dict(zip((bones.names[bone] for bone in kept), names, strict=True))
     standing = {
         name: bones.names[found] if found >= 0 else ""
@@ -343,10 +329,10 @@ def deforming_tree(armature: bpy.types.Object) -> tuple[dict[str, str], dict[str
     return tree, standing
 
 
-def _hanging(hung: dict[int, int], bone: int) -> set[int]:
+def _descendants(parents: dict[int, int], bone: int) -> set[int]:
     """The bone and all that hang on it so far."""
     found = {bone}
-    while more := {child for child, parent in hung.items() if parent in found} - found:
+    while more := {child for child, parent in parents.items() if parent in found} - found:
         found |= more
     return found
 

@@ -21,9 +21,10 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
+from typing import Any
 
 import bpy
 import numpy as np
@@ -39,42 +40,36 @@ from ..scene.build import BuiltTake
 from ..scene.camera import frame_scene
 from ..scene.characters import CharacterObjects
 from ..scene.mesh import IN_RENDERS
-from ..scene.own_scene import object_mode, own_scene, shown_in_pose, unseen_scene
+from ..scene.own_scene import object_mode, own_scene, shown_in_pose, unseen_scene, with_values
 from ..scene.proof import prove_whole
 from ..scene.timing import set_timing
 from . import EXPORTERS, PRESETS, find_exporter
 from .clean_rig import clean_rig
 from .exporter import Exporter, HandObjects, Preset
 
+_RENDER = ("fps", "fps_base", "resolution_x", "resolution_y", "pixel_aspect_x", "pixel_aspect_y")
+
 
 @dataclass(frozen=True)
 class Stage:
     """Timing and size of what is written."""
 
-    fps: int
-    fps_base: float
+    render: Mapping[str, Any]
+    """a scene's render settings `_RENDER`"""
     first: int
     last: int
-    width: int
-    height: int
-    pixel_aspect: tuple[float, float] = (1.0, 1.0)
-    metres_per_unit: float = 1.0
+    metres_per_unit: float
     """of the scene that the hands are in"""
-    view_transform: str = "Standard"
+    view_transform: str
     """How colours are shown: the picture behind the hands keeps its own in `Standard`"""
 
     @classmethod
     def of_scene(cls, scene: bpy.types.Scene, first: int | None = None, last: int | None = None) -> Stage:
         """A scene's own; `first` and `last` replace its frame range."""
-        render = scene.render
         return cls(
-            render.fps,
-            render.fps_base,
+            {name: getattr(scene.render, name) for name in _RENDER},
             scene.frame_start if first is None else first,
             scene.frame_end if last is None else last,
-            render.resolution_x,
-            render.resolution_y,
-            (render.pixel_aspect_x, render.pixel_aspect_y),
             scene.unit_settings.scale_length,
             scene.view_settings.view_transform,
         )
@@ -94,12 +89,10 @@ class Stage:
 
     def apply(self, scene: bpy.types.Scene) -> None:
         """Give it to a scene, whose unit of length stays."""
-        render = scene.render
-        render.fps, render.fps_base = self.fps, self.fps_base
+        for name, value in self.render.items():
+            setattr(scene.render, name, value)
+        scene.render.resolution_percentage = 100
         scene.frame_start, scene.frame_end = self.first, self.last
-        render.resolution_x, render.resolution_y = self.width, self.height
-        render.resolution_percentage = 100
-        render.pixel_aspect_x, render.pixel_aspect_y = self.pixel_aspect
         scene.view_settings.view_transform = self.view_transform
 
 
@@ -148,128 +141,114 @@ def export_hands(
         wanted = replace(wanted, clean=chosen.bakes)
     if _is_whole_scene(chosen, hands):
         wanted = Preset(dict(chosen.of_scene or {}), clean=False)
-    objects = [o for hand in hands for o in (hand.armature, *hand.meshes)]
+    job = _Export(chosen, wanted, hands, stage, whole)
     with contextlib.ExitStack() as stack:
         if whole is None and chosen.writes == "hands":  # a .blend keeps what is hidden
             stack.enter_context(object_mode())
-            stack.enter_context(shown_in_pose(objects))
-        return _write_all(chosen, wanted, hands, stage, folder, name, whole)
+            stack.enter_context(shown_in_pose(_objects(hands)))
+        return job.write(folder, name)
 
 
-def _write_all(
-    chosen: Exporter,
-    wanted: Preset,
-    hands: Sequence[HandObjects],
-    stage: Stage,
-    folder: Path,
-    name: str,
-    whole: tuple[bpy.types.Collection, bpy.types.Object] | None,
-) -> list[Path]:
-    """One file, or one for each hand."""
-    if not chosen.per_hand:
-        file_name = name if name.lower().endswith(chosen.kept_endings) else name + chosen.suffix
-        return [_write_one(chosen, wanted, hands, stage, folder / file_name, whole)]
-    files = []
-    for hand in hands:
-        side = f"_{hand.side}" if len(hands) > 1 else ""
-        path = folder / f"{name}{side}{chosen.suffix}"
-        for number in range(2, len(hands) + 1):
-            if path in files:
-                path = folder / f"{name}{side}{number}{chosen.suffix}"
-        files.append(_write_one(chosen, wanted, (hand,), stage, path, whole))
-    return files
+def _objects(hands: Sequence[HandObjects]) -> list[bpy.types.Object]:
+    """The armatures and meshes of hands."""
+    return [o for hand in hands for o in (hand.armature, *hand.meshes)]
 
 
-def _write_one(
-    chosen: Exporter,
-    preset: Preset,
-    hands: Sequence[HandObjects],
-    stage: Stage,
-    path: Path,
-    whole: tuple[bpy.types.Collection, bpy.types.Object] | None,
-) -> Path:
-    with written_whole(path) as beside:
-        try:
-            with _opened(chosen, hands, stage, preset, whole) as written:
-                objects = [o for hand in written for o in (hand.armature, *hand.meshes)]
-                bones = [bone.name for hand in written for bone in hand.armature.data.bones]
-                with bpy.context.temp_override(object=next(iter(objects), None), selected_objects=objects):
-                    chosen.write(beside, written, preset, path)
-            prove_whole(path, beside, chosen.is_whole)
-            if missing := chosen.missing(beside, bones):
-                raise OutputError(
-                    f"{shown(path)}: Blender wrote it without {missing}, so what was there is kept; choose "
-                    "another format or preset"
-                )
-        except (HandfitError, OSError):
-            raise
-        except RuntimeError as error:
-            # Somewhere in the words, which may be a traceback, is what the system said; but of a disk without
-            # any room some exporters say something else.
-            for number in errno.errorcode:
-                if os.strerror(number) in str(error):
-                    raise OSError(number, os.strerror(number)) from error
-            check_room(beside, 1 << 16)
-            reason = " ".join(str(error).split())
-            raise OutputError(f"{shown(path)}: Blender could not write it ({reason})") from error
-        except Exception as error:  # in a plug-in
-            raise OutputError(f"{shown(path)}: {failure_sentence(type(chosen), error)}") from error
-    return path
+@dataclass(frozen=True)
+class _Export:
+    """What is written, and how."""
 
+    chosen: Exporter
+    preset: Preset
+    hands: Sequence[HandObjects]
+    stage: Stage
+    whole: tuple[bpy.types.Collection, bpy.types.Object] | None
 
-@contextlib.contextmanager
-def _opened(
-    chosen: Exporter,
-    hands: Sequence[HandObjects],
-    stage: Stage,
-    preset: Preset,
-    whole: tuple[bpy.types.Collection, bpy.types.Object] | None,
-) -> Iterator[Sequence[HandObjects]]:
-    """Make a scene with what the format writes the context's, and yield the hands in it.
+    def write(self, folder: Path, name: str) -> list[Path]:
+        """Write one file, or one for each hand."""
+        chosen, hands = self.chosen, self.hands
+        if not chosen.per_hand:
+            file_name = name if name.lower().endswith(chosen.kept_endings) else name + chosen.suffix
+            return [self._write_to(folder / file_name)]
+        files = []
+        for hand in hands:
+            side = f"_{hand.side}" if len(hands) > 1 else ""
+            path = folder / f"{name}{side}{chosen.suffix}"
+            for number in range(2, len(hands) + 1):
+                if path in files:
+                    path = folder / f"{name}{side}{number}{chosen.suffix}"
+            files.append(replace(self, hands=(hand,))._write_to(path))
+        return files
 
-    Blender's exporters write what the context's scene holds, at its frame rate and over its range.
-    """
-    if chosen.writes == "captured" or _is_whole_scene(chosen, hands):
-        yield hands
-        return
-    if chosen.writes == "hands":
-        whole = None
-    name = whole[0].name if whole is not None else "export"
-    with own_scene(name) as scene, contextlib.ExitStack() as copies:
-        stage.apply(scene)
-        if whole is not None:
-            scene.collection.children.link(whole[0])
-            scene.camera = whole[1]
-            scene.unit_settings.scale_length = stage.metres_per_unit
-        else:
-            copies.enter_context(_files_by_name([hand.armature for hand in hands]))
-            copies.enter_context(_unrounded([mesh for hand in hands for mesh in hand.meshes]))
-            for obj in _linked(hands, carriers=not preset.clean):
-                scene.collection.objects.link(obj)
-            if not preset.clean:
+    def _write_to(self, path: Path) -> Path:
+        with written_whole(path) as beside:
+            try:
+                with self._opened() as written:
+                    objects = _objects(written)
+                    bones = [bone.name for hand in written for bone in hand.armature.data.bones]
+                    with bpy.context.temp_override(
+                        object=next(iter(objects), None), selected_objects=objects
+                    ):
+                        self.chosen.write(beside, written, self.preset, path)
+                prove_whole(path, beside, self.chosen.is_whole)
+                if missing := self.chosen.missing(beside, bones):
+                    raise OutputError(
+                        f"{shown(path)}: Blender wrote it without {missing}, so what was there is kept; "
+                        "choose another format or preset"
+                    )
+            except (HandfitError, OSError):
+                raise
+            except RuntimeError as error:
+                # Somewhere in the words, which may be a traceback, is what the system said; but of a disk
+                # without any room some exporters say something else.
+                for number in errno.errorcode:
+                    if os.strerror(number) in str(error):
+                        raise OSError(number, os.strerror(number)) from error
+                check_room(beside, 1 << 16)
+                reason = " ".join(str(error).split())
+                raise OutputError(f"{shown(path)}: Blender could not write it ({reason})") from error
+            except Exception as error:  # in a plug-in
+                raise OutputError(f"{shown(path)}: {failure_sentence(type(self.chosen), error)}") from error
+        return path
+
+    @contextlib.contextmanager
+    def _opened(self) -> Iterator[Sequence[HandObjects]]:
+        """Make a scene with what the format writes the context's, and yield the hands in it.
+
+        Blender's exporters write what the context's scene holds, at its frame rate and over its range.
+        """
+        chosen, preset, hands, stage = self.chosen, self.preset, self.hands, self.stage
+        if chosen.writes == "captured" or _is_whole_scene(chosen, hands):
+            yield hands
+            return
+        whole = self.whole if chosen.writes != "hands" else None
+        name = whole[0].name if whole is not None else "export"
+        with own_scene(name) as scene, contextlib.ExitStack() as copies:
+            stage.apply(scene)
+            if whole is not None:
+                scene.collection.children.link(whole[0])
+                scene.camera = whole[1]
                 scene.unit_settings.scale_length = stage.metres_per_unit
             else:
-                frames = range(stage.first, stage.last + 1)
-                hands = tuple(
-                    copies.enter_context(
-                        clean_rig(
-                            hand,
-                            _root_name(preset.root, hands, index),
-                            frames,
-                            metres_per_unit=stage.metres_per_unit,
-                            units=preset.units,
-                            turn=preset.turn,
-                            apart=chosen.apart,
-                        )
+                copies.enter_context(_files_by_name([hand.armature for hand in hands]))
+                copies.enter_context(_unrounded([mesh for hand in hands for mesh in hand.meshes]))
+                for obj in _linked(hands, carriers=not preset.clean):
+                    scene.collection.objects.link(obj)
+                if not preset.clean:
+                    scene.unit_settings.scale_length = stage.metres_per_unit
+                else:
+                    frames, metres = range(stage.first, stage.last + 1), stage.metres_per_unit
+                    names = [_root_name(preset.root, hands, index) for index in range(len(hands))]
+                    hands = tuple(
+                        copies.enter_context(clean_rig(hand, name, frames, metres, preset, chosen.apart))
+                        for hand, name in zip(hands, names, strict=True)
                     )
-                    for index, hand in enumerate(hands)
-                )
-        scene.frame_set(scene.frame_start)
-        yield hands
+            scene.frame_set(scene.frame_start)
+            yield hands
 
 
 def _is_carried(armature: bpy.types.Object) -> bool:
-    """Whether another object moves an armature, as a scene's camera does, which no file of hands holds."""
+    """True if another object moves an armature, as a scene's camera does, which no file of hands holds."""
     return armature.parent is not None or any(not constraint.mute for constraint in armature.constraints)
 
 
@@ -278,7 +257,7 @@ def _is_character(hands: Sequence[HandObjects]) -> bool:
 
 
 def _is_whole_scene(chosen: Exporter, hands: Sequence[HandObjects]) -> bool:
-    """Whether the open scene is written as it is, and not a scene with the hands."""
+    """True if the open scene is written as it is, and not a scene with the hands."""
     imported = any(isinstance(hand, CharacterObjects) and hand.imported for hand in hands)
     return (imported and chosen.of_scene is not None) or (
         chosen.writes == "collection" and _is_character(hands)
@@ -287,7 +266,7 @@ def _is_whole_scene(chosen: Exporter, hands: Sequence[HandObjects]) -> bool:
 
 def _linked(hands: Sequence[HandObjects], *, carriers: bool) -> dict[bpy.types.Object, None]:
     """What the exported scene holds; with `carriers`, also the parents of characters."""
-    found = dict.fromkeys(o for hand in hands for o in (hand.armature, *hand.meshes))
+    found = dict.fromkeys(_objects(hands))
     carried = list(found) if carriers and _is_character(hands) else []
     for obj in carried:
         while (obj := obj.parent) is not None:
@@ -295,18 +274,10 @@ def _linked(hands: Sequence[HandObjects], *, carriers: bool) -> dict[bpy.types.O
     return found
 
 
-@contextlib.contextmanager
-def _unrounded(meshes: Iterable[bpy.types.Object]) -> Iterator[None]:
+def _unrounded(meshes: Iterable[bpy.types.Object]) -> contextlib.AbstractContextManager[None]:
     """Meshes are not subdivided meanwhile: files have the model's own vertices, and its shape keys."""
     rounded = [mesh.modifiers[IN_RENDERS] for mesh in meshes if IN_RENDERS in mesh.modifiers]
-    shown = [(modifier, modifier.show_render, modifier.show_viewport) for modifier in rounded]
-    for modifier in rounded:
-        modifier.show_render = modifier.show_viewport = False
-    try:
-        yield
-    finally:
-        for modifier, in_renders, in_viewport in shown:
-            modifier.show_render, modifier.show_viewport = in_renders, in_viewport
+    return with_values((each, name, False) for each in rounded for name in ("show_render", "show_viewport"))
 
 
 @contextlib.contextmanager

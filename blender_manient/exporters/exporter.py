@@ -47,7 +47,7 @@ class Preset:
     keywords: dict[str, Any] = field(default_factory=dict)
     """For Blender's exporter, over those of the format"""
     clean: bool = True
-    """Whether the rig is written as `clean_rig` makes it"""
+    """True if the rig is written as `clean_rig` makes it"""
     units: float = 1.0
     """How many units of the file a metre is"""
     turn: np.ndarray | None = None
@@ -72,10 +72,10 @@ class Exporter(ABC):
     operator: ClassVar[str] = ""
     """The Blender operator that it needs, as module.name; empty for none"""
     bakes: ClassVar[bool] = True
-    """Whether a character is given as its deforming bones with a key on every frame, in metres; else as it is
+    """True if a character is given as its deforming bones with a key on every frame, in metres; else as it is
     in the artist's file"""
     per_hand: ClassVar[bool] = False
-    """Whether each hand needs a file of its own"""
+    """True if each hand needs a file of its own"""
     presets: ClassVar[Mapping[str, Preset]] = {}
     """What differs for UNITY and UNREAL"""
     kept_endings: ClassVar[tuple[str, ...]] = ()
@@ -89,7 +89,7 @@ class Exporter(ABC):
     """Endings of files that can be imported, each with the Blender operators that do it, the preferred one
     first"""
     of_scene: ClassVar[Mapping[str, Any] | None] = None
-    """What Blender's exporter is told where the whole scene is written as it was imported; None: it is not"""
+    """Arguments of Blender's exporter where the whole scene is written as it was imported; None: it is not"""
 
     @abstractmethod
     def write(self, path: Path, hands: Sequence[HandObjects], preset: Preset, final: Path, /) -> None:
@@ -97,7 +97,7 @@ class Exporter(ABC):
         in the context's scene, at its frame range and rate, in metres and Blender's axes."""
 
     def is_whole(self, _stream: BinaryIO, _size: int, /) -> bool:
-        """Whether a file of `size` bytes, more than 0, was written to its end. Writers that say nothing of a
+        """True if a file of `size` bytes, more than 0, was written to its end. Writers that say nothing of a
         full disk, as some of Blender's own, need it; what Python writes raises OSError. It may raise
         struct.error, ValueError, IndexError and OSError where the file is too short."""
         return True

@@ -94,8 +94,8 @@ def _moving(action: bpy.types.Action, slot: Any) -> int:
 def _reason(said: str) -> str:
     """Blender's words on a failure, without the lines of a traceback."""
     words = " ".join(said.replace("Error: ", "").partition("Python: Traceback")[0].split())
-    told = "it may be damaged or cut off, as Blender could not import it: export it again"
-    return f"{told} ({words})" if words else told
+    advice = "it may be damaged or cut off, as Blender could not import it: export it again"
+    return f"{advice} ({words})" if words else advice
 
 
 def _settle(new: set[bpy.types.ID]) -> None:

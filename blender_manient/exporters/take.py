@@ -87,18 +87,18 @@ def _track(hand: CapturedHand, frames: np.ndarray, metres: float, scene: bpy.typ
     detected = np.asarray(track.detected, dtype=bool)
     joints_3d = scatter(joints, present, len(present))
     errors = np.linalg.norm(hand.take.intrinsics.project(joints_3d) - track.keypoints_2d, axis=-1)
-    told, expected = errors_of(hand), track.expected_error
+    known, expected = errors_of(hand), track.expected_error
     field, numbers = readable_corrections(hand.armature), hand.take.frame_numbers
     placed, touches = point_rows([field.pins(n) for n in numbers], [field.touching(n) for n in numbers])
     if expected is not None:
-        expected = np.where(np.isnan(told.frames)[:, None], np.nan, expected)
+        expected = np.where(np.isnan(known.frames)[:, None], np.nan, expected)
     return replace(
         track,
         betas=betas,
         **dict(zip(POSE_ARRAYS, (scatter(rows, present, len(present)) for rows in pose), strict=True)),
         joints_3d=joints_3d,
         reprojection_error=np.where(detected, errors.mean(axis=-1), np.nan),
-        doubtful=None if track.doubtful is None else told.doubtful,
+        doubtful=None if track.doubtful is None else known.doubtful,
         expected_error=expected,
         filled=present & ~detected if (posed & ~track.present).any() else track.filled,
         placed=placed if track.added or np.isfinite(placed).any() else None,

@@ -74,7 +74,7 @@ class ArmBones(PosedBones):
 
 
 def has_arm(armature: bpy.types.Object) -> bool:
-    """Whether an armature has the bones of an arm."""
+    """True if an armature has the bones of an arm."""
     return set(NAMES) <= {bone.get(MARK) for bone in armature.data.bones}
 
 

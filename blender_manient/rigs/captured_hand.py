@@ -47,7 +47,7 @@ class CapturedHandRig(Rig):
     def follow(self, shaped: ShapedHand) -> None:
         """Move the 16 rest bones, and the controls. Other bones that the artist added stay where they are."""
         names = self.controls
-        with _edited(self.armature.data) as edit_bones:
+        with edited_bones(self.armature.data) as edit_bones:
             own = [edit_bones[name] for name in self.bones]
             connected = [bone.use_connect for bone in own]
             for bone in own:
@@ -64,7 +64,7 @@ class CapturedHandRig(Rig):
 
     def add_controls(self, model: str) -> None:
         """Give a hand that has none its controls; `model` is its hand model's name."""
-        with _edited(self.armature.data) as edit_bones:
+        with edited_bones(self.armature.data) as edit_bones:
             names = controls.make_bones(edit_bones, self.bones)
         controls.set_up(self.armature, self.bones, names, joint_limits(self.side, model))
 
@@ -72,14 +72,14 @@ class CapturedHandRig(Rig):
         """Take the controls away, with all that they do."""
         names = self.controls
         controls.take_down(self.armature)
-        with _edited(self.armature.data) as edit_bones:
+        with edited_bones(self.armature.data) as edit_bones:
             for name in names.values():
                 edit_bones.remove(edit_bones[name])
 
     def add_arm(self, lengths: np.ndarray) -> None:
         """Give a hand that has none the bones of an arm; lengths (2,) in metres, of upper arm and forearm."""
         wrist = self.bones[0]
-        with _edited(self.armature.data) as edit_bones:
+        with edited_bones(self.armature.data) as edit_bones:
             names = arm.make_bones(edit_bones, wrist, lengths)
         arm.set_up(self.armature, wrist, names)
 
@@ -96,7 +96,7 @@ def build_rig(name: str, shaped: ShapedHand, side: Side) -> CapturedHandRig:
     """
     armature = bpy.data.armatures.new(name)
     obj = bpy.data.objects.new(name, armature)
-    with _edited(armature) as edit_bones:
+    with edited_bones(armature) as edit_bones:
         bones = [edit_bones.new(bone) for bone in bone_names(side)]
         heads, tails = _place(bones, shaped, side)
         for i, bone in enumerate(bones[1:], start=1):
@@ -122,7 +122,7 @@ def _place(bones: list[bpy.types.EditBone], shaped: ShapedHand, side: Side) -> t
 
 
 @contextlib.contextmanager
-def _edited(armature: bpy.types.Armature) -> Iterator[Any]:
+def edited_bones(armature: bpy.types.Armature) -> Iterator[Any]:
     """The bones of an armature in edit mode, where they can be made.
 
     That is the mode of an object and a scene that nobody sees: the artist's own object may be in Pose mode,

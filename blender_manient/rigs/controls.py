@@ -211,7 +211,7 @@ def reset(armature: bpy.types.Object) -> None:
 
 
 def in_use(armature: bpy.types.Object) -> bool:
-    """Whether the controls move the hand in some frame, or may do so."""
+    """True if the controls move the hand in some frame, or may do so."""
     handles = _handles(armature)
     if not handles or not armature.manient.use_controls:
         return False
@@ -221,7 +221,7 @@ def in_use(armature: bpy.types.Object) -> bool:
 
 
 def are_moving(armature: bpy.types.Object) -> bool:
-    """Whether the controls may do something else in every frame: they have keys or others' constraints."""
+    """True if the controls may do something else in every frame: they have keys or others' constraints."""
     if any(_foreign(bone) for bone in _handles(armature)):
         return True
     for _, curve in keyed_curves(armature):

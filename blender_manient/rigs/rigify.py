@@ -142,7 +142,7 @@ def _curves(armature: bpy.types.Object) -> list[Any]:
 
 
 def _moving(curves: list[Any], path: str, still: Sequence[float]) -> bool:
-    """Whether a driver, or keys with other values than `still`, move a channel of that many parts.
+    """True if a driver, or keys with other values than `still`, move a channel of that many parts.
 
     Panels ask at every redraw: Blender looks curves up faster than we read the paths of a body's thousand.
     """

@@ -46,13 +46,13 @@ def present_curves(obj: bpy.types.Object) -> list[bpy.types.FCurve]:
 
 
 def is_tweaked(armature: bpy.types.Object) -> bool:
-    """Whether an NLA strip of it is being edited, whose action has a time of its own."""
+    """True if an NLA strip of it is being edited, whose action has a time of its own."""
     data = armature.animation_data
     return data is not None and data.use_tweak_mode
 
 
 def is_layered(armature: bpy.types.Object) -> bool:
-    """Whether the active action is only added to what lies below it in the NLA, so that its keys are no
+    """True if the active action is only added to what lies below it in the NLA, so that its keys are no
     poses."""
     data = armature.animation_data
     return data is not None and data.action is not None and data.action_blend_type != "REPLACE"
@@ -108,8 +108,14 @@ def own_action(armature: bpy.types.Object, *, nla: bool = False) -> None:
             data.action[BELOW] = copy
 
 
+def own_data(obj: bpy.types.Object) -> None:
+    """Copy an object's data where other objects use it too, or where it is linked from another file."""
+    if obj.data.users - obj.data.use_fake_user > 1 or obj.data.library is not None:
+        obj.data = obj.data.copy()
+
+
 def _is_shared(armature: bpy.types.Object, action: bpy.types.Action, slot: Any) -> bool:
-    """Whether another object uses that slot of an action."""
+    """True if another object uses that slot of an action."""
     others = bpy.data.objects if action.users - action.use_fake_user > 1 else ()
     users = (user for other in others if other != armature for user in users_of(other))
     return any(user.action == action and action_slot(user) == slot for user in users)

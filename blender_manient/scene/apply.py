@@ -174,11 +174,7 @@ def _apply(hand: CapturedHand, keys: PoseKeys, mode: Mode, wrist: bool) -> int:
     joints: Sequence[int] = range(NUM_JOINTS)
     if not wrist:
         joints = range(1, NUM_JOINTS)
-        keys = replace(
-            keys,
-            rotation_keyed=keys.rotation_keyed & (np.arange(NUM_JOINTS) > 0),
-            location_keyed=np.zeros(len(keys.frames), dtype=bool),
-        )
+        keys = keys.only(np.arange(NUM_JOINTS) > 0, False)
     rig = hand.rig
     first, last = float(keys.frames[0]), float(keys.frames[-1])
     check_unlocked(rig, joints=list(joints), location=wrist)

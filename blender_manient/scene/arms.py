@@ -20,6 +20,7 @@ from handfit_core.take import Take
 from ..common.blender_versions import channels
 from ..rigs.arm import ArmBones, has_arm
 from ..rigs.rig import Rig
+from .actions import own_data
 from .editable import check, why_not_bakeable
 from .keys import PoseKeys, writing_pose_keys
 from .mesh import follow_arm
@@ -57,8 +58,7 @@ def add_arm(hand: CapturedHand) -> None:
         return
     check(armature, why_not_bakeable(armature))
     with object_mode():
-        if armature.data.users - armature.data.use_fake_user > 1:
-            armature.data = armature.data.copy()
+        own_data(armature)
         hand.rig.add_arm(arm.lengths)
     if armature.manient.wrist != "open":
         armature.manient.forearm = True

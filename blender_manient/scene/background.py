@@ -7,6 +7,7 @@ from collections.abc import Generator
 from dataclasses import dataclass, replace
 from math import floor
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -59,8 +60,8 @@ class Plate:
 
     @property
     def placing(self) -> tuple[bool, bool, int]:
-        """Whether the image is flipped in x and in y where it is shown, and how many quarter turns clockwise
-        (-1, 0 or 1) it is given after that."""
+        """True if the image is flipped in x, and in y, where it is shown, and the number of quarter turns
+        clockwise (-1, 0 or 1) that it is given after that."""
         return _UPRIGHT[self.orientation]
 
     def mirrored(self) -> Plate:
@@ -163,7 +164,7 @@ def loading_plate(
 
 
 def _is_video_dpx(path: Path) -> bool:
-    """Whether it is a DPX that holds values as they are shown, all of which Blender takes for linear ones.
+    """True if it is a DPX that holds values as they are shown, all of which Blender takes for linear ones.
     Film densities it makes linear itself."""
     with open(path, "rb") as stream:
         head = stream.read(802)
@@ -266,6 +267,11 @@ def _first_scene_frame(take: Take, timing: Timing) -> int:
     return round(float(timing.scene_frames(take.frame_numbers[:1])[0]))
 
 
+def path_of(block: Any) -> Path:
+    """Where the file of an image or a movie clip lies."""
+    return Path(bpy.path.abspath(block.filepath, library=block.library)).absolute()
+
+
 def rows_of(image: bpy.types.Image) -> np.ndarray:
     """(H, W, 4) an image's own values, the first row on top; Blender's first row is the bottom one."""
     width, height = image.size
@@ -282,7 +288,6 @@ def missing_picture(camera: bpy.types.Object | None) -> str:
         image = background.image if background.source == "IMAGE" else None
         if image is None or image.packed_file or image.source not in {"FILE", "SEQUENCE", "MOVIE"}:
             continue
-        path = Path(bpy.path.abspath(image.filepath, library=image.library))
-        if not is_file(path):
-            return path.name
+        if not is_file(path_of(image)):
+            return path_of(image).name
     return ""

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from handfit_core.common.errors import BuildInterrupted
 from handfit_core.common.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
@@ -30,7 +31,7 @@ from ..common.wording import NAME_BYTES, hand_part, named_after, shortened_name
 from ..rigs.captured_hand import build_rig
 from . import captures
 from .arms import keying_arm
-from .background import Plate, loading_plate
+from .background import Plate, loading_plate, path_of
 from .camera import build_camera, frame_scene, is_moved, put_before, show_behind
 from .corrections import keep_field
 from .keys import CURVES, animating, computing_keys
@@ -46,10 +47,12 @@ from .store import (
     keeping_take,
     timing_of,
 )
-from .timing import Timing, check_range, frame_rate, has_rate, in_scene, set_timing
-from .views import VIEW_DISPLAY_SIZE, BuiltView, building_view
+from .timing import Timing, check_range, frame_rate, has_rate, in_scene, set_timing, view_timing
 
 _T = TypeVar("_T")
+
+_VIEW_DISPLAY_SIZE = 0.1
+"""share of Blender's usual one: either of two cameras may stand in the other's picture, before the hand"""
 
 
 @dataclass(frozen=True)
@@ -87,15 +90,15 @@ class BuildOptions:
     model: str | None = None
     """Instead of `take.model`, for takes whose model file has moved"""
     pose_correctives: bool = True
-    """Whether shape keys fill out bent joints, where the model has any"""
+    """True if shape keys fill out bent joints, where the model has any"""
     picture: bool = True
     match_scene: bool = True
-    """Whether the scene gets the take's frame rate, frame range, picture size and camera; else it stays as it
+    """True if the scene gets the take's frame rate, frame range, picture size and camera; else it stays as it
     is, and the take starts at `frame`, at its rate"""
     in_front: bool = False
-    """Whether this becomes the active capture (`captures.show`), which hides the others"""
+    """True if this becomes the active capture (`captures.show`), which hides the others"""
     render_setup: bool = True
-    """Whether a scene that is matched, or shows this in front, gets lights and the picture in its renders
+    """True if a scene that is matched, or shows this in front, gets lights and the picture in its renders
     too"""
     wrist: Wrist | None = None
     """How the meshes end; None: by a cap, and by a forearm where a hand has an arm"""
@@ -167,9 +170,11 @@ class _Build:
         self.models: dict[Side, HandModel] = {}
         self.warnings: list[str] = []
         self.plate: Plate | None = None
-        self.view: BuiltView | None = None
+        self.view: tuple[bpy.types.Object, Take, Plate | None] | None = None
+        """The camera of the second view, its clip, and the picture behind it"""
         self.stage: list[bpy.types.Object] = []
         self.hands: list[BuiltHand] = []
+        self._done = 0.0
 
     def steps(self) -> Generator[float | None, None, BuiltTake]:
         """The work. Yields how much is done, or None where the slice should end: what follows is one long
@@ -179,9 +184,10 @@ class _Build:
         self._choose_times()
         self._add_collection()
         yield None
-        picture_warnings = yield from self._load_picture()
+        self.plate = yield from self._load_plate(self.captured, self.clip)
         yield None
-        self._add_camera()
+        name = self.collection.name
+        self.camera = self.how.camera or self._add_camera(name, self.take, self.plate)
         if self.captured.cameras is not None:
             yield from self._add_second_view()
         self._add_render_setup()
@@ -195,7 +201,22 @@ class _Build:
         yield None
         if self.how.match_scene:
             self.scene.frame_set(int(self.take.frame_numbers[0]))
-        return BuiltTake(self.collection, self.camera, tuple(self.hands), (*self.warnings, *picture_warnings))
+        return BuiltTake(self.collection, self.camera, tuple(self.hands), tuple(self.warnings))
+
+    def done(self, more: float) -> float:
+        """Count a step, a curve being one; returns how much of all is done, 0..1."""
+        self._done += more
+        of_correctives = 0.3 * 9 * (NUM_JOINTS - 1)
+        tracks = self.take.hands
+        whole = sum(CURVES + 3 + of_correctives * self._has_correctives(track.side) for track in tracks)
+        return min(1.0, self._done / (whole or 1.0))
+
+    def counting(self, steps: Generator[Any, None, _T]) -> Generator[float, None, _T]:
+        """Go through steps that are not counted, as numbers are fast; returns what they return."""
+        return map_yields(steps, lambda: self.done(0))
+
+    def _has_correctives(self, side: Side) -> bool:
+        return self.how.pose_correctives and self.models[side].has_pose_blendshapes
 
     def _keep(self, block: _T) -> _T:
         self.made.append(block)  # type: ignore[arg-type]
@@ -227,31 +248,27 @@ class _Build:
         if not self.how.match_scene and self.how.timing is None:
             self.take, self.timing, self.clip = in_scene(self.scene, self.captured, self.how.frame)
         check_range(self.take, self.timing)
-        self.progress = _Progress(self.take, self.models, self.how.pose_correctives)
 
     def _add_collection(self) -> None:
         program = f" ({self.take.program})" if self.take.program else ""
         stem = shortened_name(self.take.source.name + program, NAME_BYTES - len(".001"))
         self.collection = self._keep(bpy.data.collections.new(stem))
 
-    def _load_picture(self) -> Generator[float, None, list[str]]:
+    def _load_plate(self, take: Take, timing: Timing) -> Generator[float, None, Plate | None]:
         if not self.how.picture:
-            return []
-        loading = loading_plate(self.captured, self.clip, self.how.max_megapixels)
-        self.plate, warnings = yield from self.progress.counting(loading)
-        if self.plate is not None:
-            self._keep(self.plate.image)
-        return warnings
+            return None
+        loading = loading_plate(take, timing, self.how.max_megapixels)
+        plate, warnings = yield from self.counting(loading)
+        self.warnings += warnings
+        if plate is not None:
+            self._keep(plate.image)
+        return plate
 
-    def _add_camera(self) -> None:
-        if self.how.camera is not None:
-            self.camera = self.how.camera
-            return
-        name = named_after(self.collection.name, "camera")
-        self.camera = build_camera(
-            name, self.take, self.plate, scene=self.unmatched, units_per_metre=self.units
-        )
-        self._link(self.camera)
+    def _add_camera(self, name: str, take: Take, plate: Plate | None) -> bpy.types.Object:
+        name = named_after(name, "camera")
+        camera = build_camera(name, take, plate, scene=self.unmatched, units_per_metre=self.units)
+        self._link(camera)
+        return camera
 
     def _link(self, obj: bpy.types.Object) -> None:
         self.made += [obj, obj.data]
@@ -259,33 +276,36 @@ class _Build:
         self.collection.objects.link(obj)
 
     def _add_second_view(self) -> Generator[float, None, None]:
-        self.view = view = yield from self.progress.counting(
-            building_view(
-                self.captured,
-                self.clip,
-                picture=self.how.picture,
-                scene=self.unmatched,
-                units_per_metre=self.units,
-                before=self.how.camera,
-                max_megapixels=self.how.max_megapixels,
-            )
-        )
-        self._link(view.camera)
-        for shown in (view.camera, self.camera) if self.how.camera is None else (view.camera,):
-            shown.data.display_size *= VIEW_DISPLAY_SIZE
-        if view.plate is not None:
-            self._keep(view.plate.image)
-        self.warnings += view.warnings
+        """The second camera, where it stood, before its own picture; it hangs on the artist's camera where
+        the hands do."""
+        cameras, view = self.captured.cameras, self.captured.view(1)
+        assert cameras is not None
+        timing = view_timing(self.captured, self.clip)
+        check_range(view, timing)
+        plate = yield from self._load_plate(view, timing)
+        if plate is not None and cameras.views[0].mirrored:
+            plate = plate.mirrored()
+        camera = self._add_camera(view.source.name, view, plate)
+        place = axes.camera_in_world(cameras.rotation[1], cameras.translation[1])
+        place[:3, 3] *= self.units
+        camera.matrix_basis = Matrix(place.tolist())
+        if self.how.camera is not None:
+            put_before(camera, self.how.camera)
+        for shown in (camera, self.camera) if self.how.camera is None else (camera,):
+            shown.data.display_size *= _VIEW_DISPLAY_SIZE
+        self.view = camera, view, plate
 
     def _add_render_setup(self) -> None:
-        how, view = self.how, self.view
+        how = self.how
         if not how.render_setup or not (how.match_scene or how.in_front) or how.camera is not None:
             return
         self.stage = set_up(self.scene, self.collection.name, self.camera, self.take, self.plate)
-        if view is not None and view.plate is not None:
-            # First, so that where renders fall back to the last one's camera it is the first view's.
-            self.stage.insert(0, add_picture_plane(view.take.source.name, view.camera, view.take, view.plate))
-            self.stage[0].hide_render = True
+        if self.view is not None:
+            camera, view, plate = self.view
+            if plate is not None:
+                # First, so that where renders fall back to the last one's camera it is the first view's.
+                self.stage.insert(0, add_picture_plane(view.source.name, camera, view, plate))
+                self.stage[0].hide_render = True
         for thing in self.stage:
             self._link(thing)
 
@@ -309,46 +329,45 @@ class _Build:
         if track.arm is not None:
             rig.add_arm(track.arm.lengths)
         rest = rig.rest
-        yield self.progress.done(1)
+        yield self.done(1)
         mesh = build_mesh(f"mesh of {armature.name}", model, shaped, rig)
         follow_arm(mesh, model, armature)
         self.made += [mesh, mesh.data, *mesh.data.materials]
-        yield self.progress.done(1)
-        if self.progress.correctives[track.side]:
+        yield self.done(1)
+        if self._has_correctives(track.side):
             offsets = axes.corrective_offsets(model, rest.frames)
             yield None
             for _ in adding_correctives(mesh, rig, offsets):
-                yield self.progress.done(0.3)
+                yield self.done(0.3)
         frames = self.timing.scene_frames(self.take.frame_numbers)
-        keys = yield from self.progress.counting(computing_keys(track, shaped, rest, frames))
+        keys = yield from self.counting(computing_keys(track, shaped, rest, frames))
         action = None
         for action in animating(rig, keys):
             if action not in self.made:
                 self.made.append(action)
-            yield self.progress.done(1)
+            yield self.done(1)
         assert action is not None
         if track.arm is not None:
-            yield from self.progress.counting(keying_arm(rig, track.arm, frames))
+            yield from self.counting(keying_arm(rig, track.arm, frames))
         return BuiltHand(track.side, armature, mesh, action, wrist)
 
     def _keep_takes(self) -> Generator[float | None, None, None]:
         """The collection keeps the take as captured, and beside it the one that was retimed."""
         retimed, data = self.take is not self.captured, self.how.data
         keeping = keeping_take(self.collection, self.captured, data, captured=retimed)
-        yield from self.progress.counting(keeping)
+        yield from self.counting(keeping)
         if retimed:
             yield None
-            yield from self.progress.counting(keeping_take(self.collection, self.take))
+            yield from self.counting(keeping_take(self.collection, self.take))
 
     def _describe(self) -> None:
         placed = self.how.timing is not None  # it plays with the artist's plate, at any rate
         rate = 0.0 if placed else _rate(self.scene, self.captured, self.how.match_scene)
         describe_capture(self.collection, self.camera, self.timing, rate)
         if self.view is not None and has_properties():
-            self.collection.manient.view_camera = self.view.camera
+            self.collection.manient.view_camera = self.view[0]
         for index, hand in enumerate(self.hands):
-            describe_hand(hand.armature, self.collection, self.take, index, hand.wrist)
-            _keep_pins(hand.armature, self.take, self.take.hands[index])
+            _describe_hand(hand, self.collection, self.take, index)
 
     def _show(self) -> None:
         """The scene gets the collection, and where it is matched the take's times, size and camera."""
@@ -371,8 +390,7 @@ class _Build:
         """Put the picture behind the artist's own camera, unless that shows it already."""
         path = Path(self.take.source.files[0])
         for background in camera.data.background_images:
-            shown = background.image
-            if shown is not None and Path(bpy.path.abspath(shown.filepath)) == path.absolute():
+            if background.image is not None and path_of(background.image) == path.absolute():
                 bpy.data.images.remove(plate.image)
                 return []
         if not camera.data.is_editable:
@@ -398,34 +416,33 @@ def add_last_hand(collection: bpy.types.Collection, take: Take) -> BuiltHand:
 
     It stands before the capture's camera, wherever that has been moved. Raises HandModelError.
     """
-    track, index, timing = take.hands[-1], len(take.hands) - 1, timing_of(collection)
-    model = load_model(take.model, track.side)
+    track = take.hands[-1]
     camera = collection.manient.camera
     if camera is not None and camera.name in collection.objects and not is_moved(camera):
         camera = None
     others = sum(hand.side == track.side for hand in take.hands[:-1])
     name = named_after(collection.name, hand_part(track.side, others))
     build = _Build([], replace(take, hands=(track,)), bpy.context.scene, BuildOptions(camera=camera))
-    build.models[track.side], build.timing = model, timing
-    build.progress = _Progress(build.take, build.models, True)
+    build.models[track.side], build.timing = load_model(take.model, track.side), timing_of(collection)
     try:
         hand = run_to_completion(build.build_hand(track, name))
     except BaseException:
         _remove(build.made)
         raise
     keep_take(collection, take)
-    describe_hand(hand.armature, collection, take, index, hand.wrist)
+    _describe_hand(hand, collection, take, len(take.hands) - 1)
     collection.objects.link(hand.armature)
     collection.objects.link(hand.mesh)
-    _keep_pins(hand.armature, take, track)
     return hand
 
 
-def _keep_pins(armature: bpy.types.Object, take: Take, track: HandTrack) -> None:
-    """Have the hand know the points that a person has put in place or made to touch, so that they can be
-    dragged on."""
+def _describe_hand(hand: BuiltHand, collection: bpy.types.Collection, take: Take, index: int) -> None:
+    """Have the armature know which hand it is, and the points that a person has put in place or made to
+    touch, so that they can be dragged on."""
+    describe_hand(hand.armature, collection, take, index, hand.wrist)
     if not has_properties():
         return
+    track = take.hands[index]
     count = len(take.frame_numbers)
     nothing = np.full((count, NUM_KEYPOINTS, 2), np.nan)
     placed = nothing if track.placed is None else track.placed
@@ -438,28 +455,7 @@ def _keep_pins(armature: bpy.types.Object, take: Take, track: HandTrack) -> None
             touches={k: int(other) for k, other in enumerate(touches[row].tolist()) if isfinite(other)},
         )
     if kept:
-        keep_field(armature, CorrectionField(kept))
-
-
-class _Progress:
-    """How much of all steps is done, a curve being one."""
-
-    def __init__(self, take: Take, models: dict[Side, HandModel], pose_correctives: bool) -> None:
-        self.correctives = {
-            side: pose_correctives and model.has_pose_blendshapes for side, model in models.items()
-        }
-        keys = 0.3 * 9 * (NUM_JOINTS - 1)
-        self._all = sum(CURVES + 3 + keys * self.correctives[t.side] for t in take.hands) or 1.0
-        self._done = 0.0
-
-    def counting(self, steps: Generator[Any, None, _T]) -> Generator[float, None, _T]:
-        """Go through steps that are not counted, as numbers are fast; returns what they return."""
-        return map_yields(steps, lambda: self.done(0))
-
-    def done(self, more: float) -> float:
-        """Count a step; returns how much is done, 0..1."""
-        self._done += more
-        return min(1.0, self._done / self._all)
+        keep_field(hand.armature, CorrectionField(kept))
 
 
 _changes = 0

@@ -62,15 +62,12 @@ def lens_of_camera(camera: bpy.types.Object, scene: bpy.types.Scene) -> tuple[fl
         raise OptionError(
             f"the camera {camera.name} has no perspective lens: make it one, or choose another camera setting"
         )
-    render = scene.render
-    width = render.resolution_x * render.pixel_aspect_x
-    height = render.resolution_y * render.pixel_aspect_y
-    vertical = data.sensor_fit == "VERTICAL" or (data.sensor_fit == "AUTO" and height > width)
+    aspect = frame_aspect(scene)
+    vertical = data.sensor_fit == "VERTICAL" or (data.sensor_fit == "AUTO" and aspect < 1.0)
     sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
     # Lens and shifts are in units of the side that the sensor is fitted to.
-    fitted = height if vertical else width
-    focal = data.lens / sensor * fitted / width
-    return focal, 0.5 - data.shift_x * fitted / width, 0.5 + data.shift_y * fitted / height
+    width, height = (1.0 / aspect, 1.0) if vertical else (1.0, aspect)
+    return data.lens / sensor * width, 0.5 - data.shift_x * width, 0.5 + data.shift_y * height
 
 
 def put_before(armature: bpy.types.Object, camera: bpy.types.Object) -> None:
@@ -94,7 +91,7 @@ def captured_place(take: Take, view: int, units_per_metre: float) -> Matrix:
 
 
 def is_moved(camera: bpy.types.Object) -> bool:
-    """Whether a capture camera stands elsewhere than it was built, or moves."""
+    """True if a capture camera stands elsewhere than it was built, or moves."""
     away = (camera.matrix_world - CAMERA_AT_REST) if camera.animation_data is None else None
     return away is None or max(abs(value) for row in away for value in row) > _SAME_PLACE
 
@@ -105,9 +102,15 @@ def frame_scene(scene: bpy.types.Scene, take: Take, scale: float = 1.0) -> None:
     render.resolution_x = max(4, round(take.width * scale))
     render.resolution_y = max(4, round(take.height * scale))
     render.resolution_percentage = 100
-    ratio = _pixel_height(take)
+    ratio = take.intrinsics.fx / take.intrinsics.fy  # how high a pixel is if it is one wide
     render.pixel_aspect_x = max(1.0, 1.0 / ratio)  # Blender wants both >= 1
     render.pixel_aspect_y = max(1.0, ratio)
+
+
+def frame_aspect(scene: bpy.types.Scene) -> float:
+    """How wide a scene's frame is if it is one high, as it is seen."""
+    render = scene.render
+    return render.resolution_x * render.pixel_aspect_x / (render.resolution_y * render.pixel_aspect_y)
 
 
 def show_behind(
@@ -125,8 +128,7 @@ def show_behind(
     background.rotation = math.radians(90.0 * turns)
     picture = frame = picture_aspect(take)
     if scene is not None:
-        render = scene.render
-        frame = render.resolution_x * render.pixel_aspect_x / (render.resolution_y * render.pixel_aspect_y)
+        frame = frame_aspect(scene)
     if scene is None and not turns:
         background.frame_method = "STRETCH"
     elif turns:  # Before it is turned the image gets the frame's height, of which the scale makes its width.
@@ -136,8 +138,3 @@ def show_behind(
         background.frame_method = "FIT" if picture > frame else "CROP"
     plate.apply_timing(background.image_user)
     return background
-
-
-def _pixel_height(take: Take) -> float:
-    """How high a pixel of the picture is if it is one wide."""
-    return take.intrinsics.fx / take.intrinsics.fy

@@ -13,7 +13,8 @@ import numpy as np
 
 from handfit_core.media.opening import sequence_numbers
 
-from .background import offset_driver
+from .background import offset_driver, path_of
+from .camera import frame_aspect
 from .matching import is_of_a_capture
 from .timing import Timing
 
@@ -29,10 +30,10 @@ class CameraClip:
     is_solved: bool
     """True if Blender's tracker has solved the camera's motion from the clip"""
     is_shown: bool
-    """Whether it is in the camera's background"""
+    """True if it is in the camera's background"""
 
     def is_of(self, files: Sequence[str]) -> bool:
-        """Whether a source of these files is this clip."""
+        """True if a source of these files is this clip."""
         folder = Path(files[0]).parent
         same = os.path.normpath(folder) == os.path.normpath(self.path.parent)
         return same and str(folder / self.path.name) in files
@@ -46,7 +47,7 @@ def camera_clips(scene: bpy.types.Scene) -> list[CameraClip]:
         return []
     found: dict[Path, CameraClip] = {}
     for block, placed, background in _clips(scene, camera):
-        path = _path(block)
+        path = path_of(block)
         is_movie_clip = isinstance(block, bpy.types.MovieClip)
         # A movie clip's first frame is the file that it names, an image's is the number 1.
         first = (sequence_numbers([path]) or [1])[0] if is_movie_clip and block.source == "SEQUENCE" else 1
@@ -60,25 +61,19 @@ def camera_clips(scene: bpy.types.Scene) -> list[CameraClip]:
 
 def part_of_frame(scene: bpy.types.Scene, clip: CameraClip) -> tuple[float, float]:
     """How much of the frame's width and height the clip's picture takes where the scene's camera shows it."""
-    render = scene.render
     for block, _, background in _clips(scene, scene.camera):
-        if background is None or _path(block) != clip.path:
+        if background is None or path_of(block) != clip.path:
             continue
         still = bpy.data.images.load(str(clip.path))  # a sequence has no size before it was drawn
         width, height = np.multiply(still.size, block.display_aspect)
         bpy.data.images.remove(still)
         if not width or background.rotation:  # unreadable, or turned, as `show_behind` does to the full width
             break
-        frame = render.resolution_x * render.pixel_aspect_x / (render.resolution_y * render.pixel_aspect_y)
-        ratio = 1.0 if background.frame_method == "STRETCH" else width / height / frame
+        ratio = 1.0 if background.frame_method == "STRETCH" else width / height / frame_aspect(scene)
         of_width = (ratio > 1.0) == (background.frame_method == "FIT")  # else of its height
         part = (1.0, 1.0 / ratio) if of_width else (ratio, 1.0)
         return part[0] * background.scale, part[1] * background.scale
     return 1.0, 1.0
-
-
-def _path(block: Any) -> Path:
-    return Path(bpy.path.abspath(block.filepath, library=block.library)).absolute()
 
 
 def _clips(scene: bpy.types.Scene, camera: bpy.types.Object) -> Iterator[tuple[Any, Any, Any]]:

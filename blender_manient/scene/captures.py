@@ -10,7 +10,7 @@ visible there.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Iterator
 
 import bpy
 
@@ -22,6 +22,7 @@ from .background import drive_offset
 from .camera import frame_scene
 from .confidence import errors_of, is_marked, mark_doubtful
 from .matching import Choice, Footage, has_matched_size, has_matched_time, is_of_a_capture, note_matched
+from .own_scene import remove_blocks
 from .render_setup import OURS, follow_camera
 from .simplify import DENSE
 from .store import captured_hands, clip_timing, hand_of, has_properties, kept_take
@@ -87,12 +88,12 @@ def leave_other_view(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
 
 
 def in_view(scene: bpy.types.Scene) -> bool:
-    """Whether the scene's camera is one that a capture has built."""
+    """True if the scene's camera is one that a capture has built."""
     return has_properties() and scene.camera is not None and is_of_a_capture(scene.camera)
 
 
 def becomes_active(scene: bpy.types.Scene, choice: Choice, matched: bool) -> bool:
-    """Whether a new capture becomes the active one, with its own camera: in a scene that is matched to it,
+    """True if a new capture becomes the active one, with its own camera: in a scene that is matched to it,
     and in one that looks through another capture's camera, unless the artist keeps that, or is at work on an
     object in another mode."""
     looked_at = matched or (choice == "AUTO" and in_view(scene))
@@ -100,12 +101,12 @@ def becomes_active(scene: bpy.types.Scene, choice: Choice, matched: bool) -> boo
 
 
 def is_shown(capture: bpy.types.Collection, layer: bpy.types.ViewLayer) -> bool:
-    """Whether viewports of a view layer show the collection."""
+    """True if viewports of a view layer show the collection."""
     return any(part.collection == capture and seen for part, seen in _parts(layer.layer_collection))
 
 
 def others_shown(scene: bpy.types.Scene) -> bool:
-    """Whether captures other than the active one are shown."""
+    """True if captures other than the active one are shown."""
     active, layer = active_capture(scene), _layer_of(scene)
     return any(is_shown(c, layer) for c in captures(scene) if c != active)
 
@@ -175,7 +176,7 @@ def remove(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
 
 
 def verdict(capture: bpy.types.Collection) -> Verdict | None:
-    """Whether the views of a capture belong together; None where it has one, or its take is damaged."""
+    """How well the views of a capture agree; None where it has one, or its take is damaged."""
     try:
         return kept_take(capture).verdict
     except TakeError:
@@ -309,7 +310,8 @@ def _delete(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
             capture.objects.unlink(thing)
     else:
         blocks.append(capture)
-    bpy.data.batch_remove([*blocks, *_left_behind(blocks)])
+    with_all_keys = {action.get(DENSE) for action in bpy.data.actions}  # kept by a fake user of ours
+    remove_blocks(blocks, with_all_keys)
 
 
 def _plate_taken(capture: bpy.types.Collection) -> list[bpy.types.Image]:
@@ -340,7 +342,7 @@ def _files(capture: bpy.types.Collection) -> set[str]:
 
 
 def _is_own(thing: bpy.types.Object, capture: bpy.types.Collection) -> bool:
-    """Whether a capture has made an object of its collection: a hand, a mesh, the camera, lights, card."""
+    """True if a capture has made an object of its collection: a hand, a mesh, the camera, lights, card."""
     if thing in (capture.manient.camera, capture.manient.view_camera) or OURS in thing:
         return True
     stem, _, number = thing.name.rpartition(".")
@@ -348,31 +350,6 @@ def _is_own(thing: bpy.types.Object, capture: bpy.types.Collection) -> bool:
         return False
     hand = thing if thing.manient.is_hand else thing.parent
     return hand is not None and hand.manient.capture == capture and thing in (hand, hand.manient.mesh)
-
-
-def _left_behind(blocks: Iterable[bpy.types.ID]) -> list[bpy.types.ID]:
-    """What nobody but these data-blocks uses, however deep: actions, meshes, materials, pictures."""
-    users = {block: set(them) for block, them in bpy.data.user_map().items()}
-    simplified = {action.get(DENSE) for action in bpy.data.actions}  # kept by a fake user of ours
-    gone, found = set(blocks), []
-    while True:
-        more = [
-            block
-            for block, them in users.items()
-            if block not in gone and them and them <= gone and _may_go(block, simplified)
-        ]
-        if not more:
-            return [block for block in found if not isinstance(block, bpy.types.Key)]  # go with their meshes
-        gone.update(more)
-        found += more
-
-
-def _may_go(block: bpy.types.ID, simplified: Container[bpy.types.ID]) -> bool:
-    if isinstance(block, (bpy.types.Collection, bpy.types.Scene)):
-        return False
-    if isinstance(block, bpy.types.Object) and block.users_collection:
-        return False
-    return not block.use_fake_user or block in simplified
 
 
 def _index(scene: bpy.types.Scene) -> int:

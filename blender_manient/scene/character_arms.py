@@ -1,15 +1,17 @@
 """A captured arm on a character's: keys of its upper arm, forearm and hand, by FK or IK.
 
-The arm is told relative to the character's chest, so that it goes along with whatever the body does. Its keys
-lie between what its bones do without them and the captured arm, as far as that counts. Actions that were made
-for captured arms before are not looked at then, so that an arm can be applied again.
+The arm is given relative to the character's chest, so that it goes along with whatever the body does. Its
+keys lie between what its bones do without them and the captured arm, as far as that counts. Actions that were
+made for captured arms before are not looked at then, so that an arm can be applied again.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Generator, Iterator, Mapping, Sequence
+import functools
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import bpy
 import numpy as np
@@ -17,14 +19,13 @@ from mathutils import Matrix
 
 from handfit_core.common.errors import HandModelError
 from handfit_core.common.skeleton import FINGER_JOINTS, other_side
-from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat, unflip_quats
+from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat, swings, unflip_quats
 from handfit_core.retarget.arms import (
     THICKNESS,
     Capsules,
     CapturedArm,
     TargetArm,
     kept_outside,
-    swings,
     swivel_angles,
     target_arm,
 )
@@ -38,15 +39,14 @@ from .actions import channels_of, curves_in, strips_of, users_of
 from .characters import CharacterObjects, hand_map_of
 from .hand_motion import BoneKeys
 from .keys import PoseKeys
-from .sampling import posed_bones, rests, rotations_of
+from .own_scene import with_values
+from .sampling import rests, rotations_of, sampling_unseen
 from .timing import frame_rate
 from .transfer_options import TransferOptions
 
 MARK = "manient_arms"
 """Custom property of an action that was made for captured arms"""
 
-_SAMPLED = 20
-"""frames that Blender evaluates at once"""
 _VERTICES = 6000
 """how many of a character's vertices are looked at, about"""
 
@@ -139,9 +139,7 @@ def keying_arm(
         mixed = unflip_quats(mixed / np.linalg.norm(mixed, axis=-1, keepdims=True))
         places = (1.0 - share) * places + share * basis[:, :3, 3] if goes else None
         written = PoseKeys.everywhere(every, mixed[:, None], places)
-        if not turns:
-            written = replace(written, rotation_keyed=np.zeros_like(written.rotation_keyed))
-        keys.append(BoneKeys(CharacterBones(armature, [name]), written, arm=True))
+        keys.append(BoneKeys(CharacterBones(armature, [name]), written.only(turns, True), arm=True))
 
     if own.upper:
         turns = target.turned(upper, fore, turned)
@@ -168,8 +166,8 @@ def keying_arm(
         start = rotations_of(shown.carried(swing))
         axes = rotations_of(shown.rest[own.swivel])
         start = swings(start[..., 1], along) @ start @ rotations_of(shown.rest[swing]).T @ axes
-        told = (axes.T @ target.hinge, axes.T @ (target.joints[2] - target.joints[0]))
-        half = 0.5 * np.unwrap(swivel_angles(start, *told, along, normals))
+        at_rest = (axes.T @ target.hinge, axes.T @ (target.joints[2] - target.joints[0]))
+        half = 0.5 * np.unwrap(swivel_angles(start, *at_rest, along, normals))
         quats = np.stack([np.cos(half), 0.0 * half, np.sin(half), 0.0 * half], axis=-1)
         key(own.swivel, _matrices(quat_to_rotmat(quats)))
     return keys
@@ -185,7 +183,7 @@ class _Shown:
     """(4, 4) by bone, in the armature's space"""
     parents: Mapping[str, str]
     at_rest: bool = False
-    """Whether nobody knows what the bones do without the arm, so that they count as resting"""
+    """True if nobody knows what the bones do without the arm, so that they count as resting"""
 
     def carried(self, name: str) -> np.ndarray:
         """(M, 4, 4) where a bone would lie if it rested."""
@@ -230,12 +228,9 @@ def _sampling(
     wanted = [*dict.fromkeys([*names, *parents.values(), arm.target.chest])]
     wanted = [name for name in wanted if name]
     still = all(rests(armature, bones[name]) for name in wanted)
-    parts = []
-    for start in range(0, 1 if still else len(frames), _SAMPLED):
-        with _without_applied(armature):
-            parts.append(posed_bones(armature, frames[start : start + (1 if still else _SAMPLED)], wanted))
-        yield start / len(frames)
-    posed = np.broadcast_to(parts[0], (len(frames), *parts[0].shape[1:])) if still else np.concatenate(parts)
+    around = functools.partial(_without_applied, armature)
+    sampled = yield from sampling_unseen(armature, frames[: 1 if still else None], wanted, around)
+    posed = np.broadcast_to(sampled.of(wanted), (len(frames), len(wanted), 4, 4))
     rest = {name: np.array(bones[name].matrix_local, dtype=np.float64) for name in wanted}
     chest = arm.target.chest
     back = rest[chest] @ np.linalg.inv(posed[:, wanted.index(chest)]) if chest else np.eye(4)[None]
@@ -262,12 +257,9 @@ def _capsules(armature: bpy.types.Object, target: TargetArm) -> Capsules:
 
 def unapplied_users(armature: bpy.types.Object) -> list:
     """What uses an action for an armature that was not made for captured arms."""
-    muted = {strip for track in _tracks(armature) for strip in track.strips if track.mute or strip.mute}
+    tracks = armature.animation_data.nla_tracks if armature.animation_data is not None else ()
+    muted = {strip for track in tracks for strip in track.strips if track.mute or strip.mute}
     return [user for user in users_of(armature) if MARK not in user.action and user not in muted]
-
-
-def _tracks(armature: bpy.types.Object) -> list[bpy.types.NlaTrack]:
-    return [*armature.animation_data.nla_tracks] if armature.animation_data is not None else []
 
 
 def _moved_range(armature: bpy.types.Object, names: Sequence[str]) -> tuple[float, float] | None:
@@ -286,24 +278,15 @@ def _moved_range(armature: bpy.types.Object, names: Sequence[str]) -> tuple[floa
     return min(float(first) for first, _ in spans), max(float(last) for _, last in spans)
 
 
-@contextlib.contextmanager
-def _without_applied(armature: bpy.types.Object) -> Iterator[None]:
+def _without_applied(armature: bpy.types.Object) -> contextlib.AbstractContextManager[None]:
     """Have actions that were made for captured arms do nothing."""
     data = armature.animation_data
-    strips = [s for s in strips_of(armature) if s.action and MARK in s.action and not s.mute]
-    acting = data if data is not None and data.action is not None and MARK in data.action else None
-    influence = acting.action_influence if acting is not None else 1.0
-    try:
-        for strip in strips:
-            strip.mute = True
-        if acting is not None:
-            acting.action_influence = 0.0
-        yield
-    finally:
-        for strip in strips:
-            strip.mute = False
-        if acting is not None:
-            acting.action_influence = influence
+    values: list[tuple[Any, str, Any]] = [
+        (strip, "mute", True) for strip in strips_of(armature) if strip.action and MARK in strip.action
+    ]
+    if data is not None and data.action is not None and MARK in data.action:
+        values.append((data, "action_influence", 0.0))
+    return with_values(values)
 
 
 def _matrices(turns: np.ndarray, places: np.ndarray | None = None) -> np.ndarray:

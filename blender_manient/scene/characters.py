@@ -31,7 +31,7 @@ class CharacterObjects:
     hand_maps: tuple[HandMap, ...] = ()
     """Tables of its hands that stand before those that are kept or recognised"""
     imported: bool = False
-    """Whether the open scene is another program's file, which is to be written as a whole"""
+    """True if the open scene is another program's file, which is to be written as a whole"""
 
     @classmethod
     def of(cls, armature: bpy.types.Object) -> CharacterObjects:
@@ -110,7 +110,7 @@ def kept_map(armature: bpy.types.Object, side: Side) -> HandMap | None:
 
 
 def is_damaged(armature: bpy.types.Object, side: Side) -> bool:
-    """Whether a table is kept for a hand that cannot be read."""
+    """True if a table is kept for a hand that cannot be read."""
     return bool(getattr(armature.manient.character, side).hand_map) and kept_map(armature, side) is None
 
 

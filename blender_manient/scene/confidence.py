@@ -1,7 +1,7 @@
-"""How far a captured hand is off, as its take tells, and bones coloured by it: green where they can be
-trusted, red where they are likely elsewhere, grey where nothing is told.
+"""How far a captured hand is off, by its take, and bones coloured by it: green where they can be
+trusted, red where they are likely elsewhere, grey where nothing is known.
 
-That is how far each finger is likely to be off, in metres, where the solver told it, else how far the hand
+That is how far each finger is likely to be off, in metres, where the solver gave it, else how far the hand
 lies from what was detected, in parts of its length in the picture. It is said of the captured pose: frames
 that the artist has corrected have none. Doubtful and filled frames are ranges and timeline markers, too.
 """
@@ -50,7 +50,7 @@ _COLORS: Final = np.array([(0.10, 0.70, 0.20), (0.95, 0.80, 0.10), (0.90, 0.12, 
 """sRGB of what is good, fair and poor"""
 
 _following = False
-"""Whether some hand shows its colours"""
+"""True if some hand shows its colours"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class Errors:
     doubtful: np.ndarray
     """(T,) bool"""
     known: bool
-    """Whether anybody can tell how far off the hand was captured"""
+    """True if anybody can tell how far off the hand was captured"""
 
     @property
     def mean(self) -> float | None:
@@ -302,7 +302,7 @@ def mark_doubtful(scene: bpy.types.Scene, hand: CapturedHand, on: bool) -> int:
 
 
 def is_marked(scene: bpy.types.Scene, hand: CapturedHand) -> bool:
-    """Whether the hand's ranges have their markers."""
+    """True if the hand's ranges have their markers."""
     wanted = _wanted(hand)
     return any((marker.frame, marker.name) in wanted for marker in scene.timeline_markers)
 

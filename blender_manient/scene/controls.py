@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import bpy
 import numpy as np
 
 from ..common.blender_versions import channels, used_actions
 from ..rigs import controls
 from ..rigs.rig import PosedBones, Rig
-from .actions import own_action
+from .actions import own_action, own_data
 from .corrections import end_corrections
 from .keys import (
     SAME_FRAME,
@@ -35,8 +33,7 @@ def add_controls(hand: CapturedHand) -> None:
     """Give a hand that has none its controls; its limits reach as far as its keys. Raises OptionError."""
     armature = hand.armature
     with object_mode():
-        if armature.data.users - armature.data.use_fake_user > 1:
-            armature.data = armature.data.copy()
+        own_data(armature)
         hand.rig.add_controls(hand.take.model)
     for action, slot in used_actions(armature):
         hand.rig.allow(read_pose_keys(hand.rig, holder=channels(action, slot)).quats)
@@ -58,9 +55,7 @@ def bake_controls(hand: CapturedHand) -> None:
     """
     armature, rig = hand.armature, hand.rig
     keys, turned, moved = _shown_keys(rig)
-    keys = replace(
-        keys, rotation_keyed=keys.rotation_keyed & turned, location_keyed=keys.location_keyed & moved
-    )
+    keys = keys.only(turned, moved)
     quats, locations = sampled_pose(rig, [bpy.context.scene.frame_current_final])
     joints = np.flatnonzero(turned).tolist()
     check_unlocked(rig, joints=joints, location=moved)

@@ -29,7 +29,7 @@ from handfit_core.edit.corrections import (
     kept_frame,
 )
 
-from ..common.blender_versions import action_slot, channels, has_one_slot, property_group
+from ..common.blender_versions import action_slot, channels, has_one_slot, property_group, slot_key
 from ..common.block_reference import BlockReference
 from ..rigs import rig_of
 from ..rigs.rig import Rig
@@ -37,7 +37,6 @@ from . import store
 from .actions import motion_user, own_action
 from .editable import check_keyable
 from .keys import (
-    SAME_FRAME,
     PoseKeys,
     check_unlocked,
     is_smooth,
@@ -108,21 +107,17 @@ def _text(action: bpy.types.Action, slot: Any) -> str:
     texts = property_group(action, MARK)
     # With slots or without, depending on the Blender that wrote it, one hand has one text.
     only = next(iter(texts.values()), "") if has_one_slot(action) else ""
-    return str(texts.get(_slot_key(slot), only))
+    return str(texts.get(slot_key(slot), only))
 
 
 def _keep(action: bpy.types.Action, slot: Any, field: CorrectionField) -> None:
     texts = {} if has_one_slot(action) else property_group(action, MARK)
-    texts[_slot_key(slot)] = field.to_json()
+    texts[slot_key(slot)] = field.to_json()
     texts = {key: text for key, text in texts.items() if text}
     if texts:
         action[MARK] = texts
     elif MARK in action:
         del action[MARK]
-
-
-def _slot_key(slot: Any) -> str:
-    return str(slot.handle) if slot is not None else "0"
 
 
 def check_writable(armature: bpy.types.Object) -> None:
@@ -163,8 +158,7 @@ def correct_frames(
     places = timing_of(armature).scene_frames(np.array(chosen, dtype=np.float64))
     now_quats, now_locations = pose_at(rig, places)
     present = read_pose_keys(rig, places.min(), places.max())
-    there = np.abs(places[:, None] - present.frames) <= SAME_FRAME
-    rotated, located = there @ present.rotation_keyed, there @ present.location_keyed
+    rotated, located = present.keyed_at(places)
     turns, moves = np.isfinite(quats[..., 0]), np.asarray(np.isfinite(locations).all(axis=1))
     if is_smooth(rig) or (posed and len(chosen) > 1):
         ends = {chosen[0], chosen[-1]} if posed else chosen
@@ -251,14 +245,9 @@ def change_field(armature: bpy.types.Object, new: CorrectionField) -> None:
         # Keys at the end of the segment, where nothing changes, are not even written.
         turns = np.any(turned_old != turned_new, axis=-1)
         moves = np.any(moved_old != moved_new, axis=-1)
-        changed = replace(
-            keys,
-            quats=changed_quats(keys.quats, turned_old, turned_new),
-            locations=keys.locations - moved_old + moved_new,
-            rotation_keyed=keys.rotation_keyed & turns,
-            location_keyed=keys.location_keyed & moves,
-        )
-        write_pose_keys(rig, changed)
+        quats = changed_quats(keys.quats, turned_old, turned_new)
+        changed = replace(keys, quats=quats, locations=keys.locations - moved_old + moved_new)
+        write_pose_keys(rig, changed.only(turns, moves))
     keep_field(armature, new)
 
 
@@ -343,7 +332,7 @@ def end_corrections(
     location: bool = True,
     keep_pins: bool = False,
 ) -> None:
-    """Call this before source frames are keyed anew: corrections end there, and their frames' own go.
+    """Call this before source frames get other keys: corrections end there, and their frames' own go.
 
     The arguments are those of `CorrectionField.keyed_anew`. Keys around that hold a part of a correction
     which ends sooner now are changed. Corrections that cannot be read stay as they are.
@@ -393,13 +382,13 @@ def _key_ends(
     places = np.sort(timing_of(armature).scene_frames(ends))
     keys = read_pose_keys(rig)
     quats, locations = pose_at(rig, places)
-    there = np.abs(places[:, None] - keys.frames) <= SAME_FRAME
     within = [
         (places > own.min(initial=np.inf)) & (places < own.max(initial=-np.inf))
         for own in (keys.frames[keyed] for keyed in (*keys.rotation_keyed.T, keys.location_keyed))
     ]
-    rotated = np.stack(within[:-1], axis=-1) & turns & ~(there @ keys.rotation_keyed)
-    located = within[-1] & moves & ~(there @ keys.location_keyed)
+    rotated, located = keys.keyed_at(places)
+    rotated = np.stack(within[:-1], axis=-1) & turns & ~rotated
+    located = within[-1] & moves & ~located
     write_pose_keys(rig, PoseKeys(places, quats, locations, rotated, located))
 
 

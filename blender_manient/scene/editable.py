@@ -1,4 +1,4 @@
-"""Whether a hand may be changed here, and its keys, and why not."""
+"""Decides whether a hand and its keys may be changed here, and says why not."""
 
 from __future__ import annotations
 

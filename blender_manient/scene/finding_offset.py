@@ -18,15 +18,13 @@ from .editable import check
 from .keys import nearest
 from .moving_body import moving_range
 from .onto_character import Motion
-from .sampling import rotations_of, sample_unseen
+from .sampling import rotations_of, sampling_unseen
 from .timing import frame_rate, span_of
 
 _LEAST_SURE = 0.3
 """How sure an offset must be found"""
 _LONGEST = 50_000
 """frames in which an offset is looked for, in minutes"""
-_SAMPLED = 20
-"""frames that Blender evaluates at once"""
 
 
 def finding_offset(
@@ -50,15 +48,9 @@ def finding_offset(
         motion = motion.on(hand_map.side)
         targets.append((target_hand(bones_of(armature), hand_map, motion.source), motion))
     names = [target.hand_map.bones[0] for target, _ in targets]
-    frames, poses, worlds = np.arange(start, end + 1), [], []
-    for some in np.array_split(frames, max(len(frames) // _SAMPLED, 1)):
-        sampled = sample_unseen(armature, some.tolist(), names)
-        at = [sampled.names.index(name) for name in names]
-        poses.append(sampled.pose[:, at])
-        worlds.append(sampled.world[:, None])
-        yield (some[-1] - start) / len(frames)
-    world = np.concatenate(worlds)
-    shown = world @ np.concatenate(poses)
+    sampled = yield from sampling_unseen(armature, np.arange(start, end + 1), names)
+    world = sampled.world[:, None]
+    shown = world @ sampled.of(names)
     if not np.isfinite(shown).all() or not (np.linalg.det(shown[..., :3, :3]) > 0.0).all():
         raise OptionError(f"a hand of {armature.name!r} is nowhere in some frames: type the offset")
     rest = armature.data.bones

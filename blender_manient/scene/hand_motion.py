@@ -1,4 +1,4 @@
-"""Which keys of a character's hand itself were written, so that they can be written anew.
+"""Which keys of a character's hand itself were written, so that they can be rewritten.
 
 An action notes the keys of the bone that moves the whole hand, and the offset that is in them. Keys that are
 not as they were written are the artist's own by now: they stay, and those that were moved or deleted stay so.
@@ -6,8 +6,6 @@ not as they were written are the artist's own by now: they stay, and those that 
 
 from __future__ import annotations
 
-import base64
-import binascii
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,10 +14,10 @@ import numpy as np
 
 from handfit_core.common.skeleton import Side
 
-from ..common.blender_versions import action_slot, channels, property_group
+from ..common.blender_versions import action_slot, channels, property_group, slot_key
 from ..rigs.character import CharacterBones
 from .actions import users_of
-from .keys import PoseKeys, nearest, read_pose_keys
+from .keys import PoseKeys, nearest, read_pose_keys, read_table, table_text
 
 MARK = "manient_hand_motion"
 """An action's custom property: slot handle (0 before Blender 4.4) and side -> bone, keys and offset"""
@@ -40,7 +38,7 @@ class BoneKeys:
     settings: tuple[float, ...] = ()
     """Travel, smoothing, marked frame and offset in time of that hand"""
     arm: bool = False
-    """Whether the only bone is one of an arm"""
+    """True if the only bone is one of an arm"""
 
     @property
     def keyed(self) -> np.ndarray:
@@ -70,7 +68,7 @@ class WrittenKeys:
 
     @property
     def placed(self) -> bool:
-        """Whether the hand was moved, too."""
+        """True if the hand was moved, too."""
         return bool(np.isfinite(self.table[:, 5:]).all())
 
     def unchanged_mask(self, rig: CharacterBones) -> np.ndarray:
@@ -92,15 +90,14 @@ def written_keys(armature: bpy.types.Object, side: Side) -> WrittenKeys | None:
     damaged file holds."""
     for user in users_of(armature):
         action, slot = user.action, action_slot(user)
-        content = property_group(action, MARK).get(_key(slot, side))
+        content = property_group(action, MARK).get(f"{slot_key(slot)}/{side}")
         if content is None:
             continue
         try:
-            data = base64.b64decode(content["keys"], validate=True)
-            table = np.frombuffer(data, dtype="<f4").reshape(-1, 8).astype(np.float64)
+            table = read_table(content["keys"], 8)
             offset = np.array([float(value) for value in content["offset"]])
             settings = tuple(float(value) for value in content["settings"])
-        except (LookupError, TypeError, ValueError, binascii.Error):
+        except (LookupError, TypeError, ValueError):
             return None
         if len(table) == 0 or offset.shape != (3,) or content.get("bone") not in armature.pose.bones:
             return None
@@ -126,11 +123,11 @@ def record_written_keys(
         table = table[np.argsort(table[:, 0])]
     content = {
         "bone": one.rig.bones[0],
-        "keys": base64.b64encode(table.astype("<f4").tobytes()).decode("ascii"),
+        "keys": table_text(table),
         "offset": one.offset.tolist(),
         "settings": list(one.settings),
     }
-    action[MARK] = {**property_group(action, MARK), _key(slot, one.side): content}
+    action[MARK] = {**property_group(action, MARK), f"{slot_key(slot)}/{one.side}": content}
 
 
 def without_artist_keys(armature: bpy.types.Object, one: BoneKeys) -> BoneKeys:
@@ -142,14 +139,5 @@ def without_artist_keys(armature: bpy.types.Object, one: BoneKeys) -> BoneKeys:
     own = found.table[~found.unchanged_mask(one.rig), 0]
     if len(own) == 0:
         return one
-    stays = nearest(own, one.keys.frames)[1]
-    keys = replace(
-        one.keys,
-        rotation_keyed=one.keys.rotation_keyed & ~stays[:, None],
-        location_keyed=one.keys.location_keyed & ~stays,
-    )
-    return replace(one, keys=keys)
-
-
-def _key(slot: Any, side: Side) -> str:
-    return f"{slot.handle if slot is not None else 0}/{side}"
+    changes = ~nearest(own, one.keys.frames)[1]
+    return replace(one, keys=one.keys.only(changes[:, None], changes))

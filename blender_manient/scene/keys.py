@@ -13,6 +13,7 @@ been changed then.
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -66,6 +67,23 @@ class PoseKeys:
             np.full(count, locations is not None),
         )
 
+    def only(self, rotations: np.ndarray | bool, locations: np.ndarray | bool) -> PoseKeys:
+        """The rotation keys and the location keys that these masks let through: any that broadcast to (N, B)
+        and to (N,)."""
+        rotated, located = self.rotation_keyed & rotations, self.location_keyed & locations
+        return replace(self, rotation_keyed=rotated, location_keyed=located)
+
+    @property
+    def channels(self) -> dict[str, Any]:
+        """What has keys, as `check_unlocked` and `remove_pose_keys` want to know it."""
+        joints = np.flatnonzero(self.rotation_keyed.any(axis=0)).tolist()
+        return {"joints": joints, "location": bool(self.location_keyed.any())}
+
+    def keyed_at(self, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which rotations (M, B), and whether the location (M,), have keys on frames (M,): bool."""
+        there = np.abs(frames[:, None] - self.frames) <= SAME_FRAME
+        return there @ self.rotation_keyed, there @ self.location_keyed
+
     def turned(self, old: RestPose, new: RestPose, plane: float = 0.0) -> PoseKeys:
         """These keys for bones with another rest pose; for a hand of the other side mirrored at `plane` (see
         `RestPose.moved_to`)."""
@@ -78,10 +96,9 @@ def read_pose_keys(
     rig: PosedBones, first: float = -np.inf, last: float = np.inf, *, holder: Any = None
 ) -> PoseKeys:
     """All keys of the bones from frame `first` to `last`, both included."""
-    curves = _Curves(rig.armature, holder)
-    names = _bones(rig)
-    own = [frames_of(curves.rotation(name)) for name in names]
-    placed = frames_of(curves.location(names[0]))
+    curves = _Curves(rig, holder)
+    own = [frames_of(curves.rotation(bone)) for bone in curves.bones]
+    placed = frames_of(curves.location(curves.bones[0]))
     frames = union([*own, placed])
     frames = frames[(frames >= first - SAME_FRAME) & (frames <= last + SAME_FRAME)]
     quats, locations = pose_at(rig, frames, holder=holder)
@@ -95,7 +112,7 @@ def pose_at(rig: PosedBones, frames: np.ndarray, *, holder: Any = None) -> tuple
     Where something has no curve its present value counts. Constraints, drivers and the NLA are not asked.
     """
     values, locations = channel_values(rig, frames, holder=holder)
-    modes = [rig.armature.pose.bones[name].rotation_mode for name in _bones(rig)]
+    modes = [rig.armature.pose.bones[name].rotation_mode for name in rig.bones]
     quats = [channels_to_quat(*one) for one in zip(values, modes, strict=True)]
     return unflip_quats(np.stack(quats, axis=1)), locations
 
@@ -105,13 +122,13 @@ def channel_values(
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """What the bones' own channels say on any frames: (N, 3 or 4) per bone in its rotation mode, and the
     first bone's locations (N, 3). Where something has no curve its present value counts."""
-    curves = _Curves(rig.armature, holder)
+    curves = _Curves(rig, holder)
     frames = np.asarray(frames, dtype=np.float64)
-    bones = [rig.armature.pose.bones[name] for name in _bones(rig)]
     values = [
-        _values_at(curves.rotation(bone.name), getattr(bone, rotation_path(bone)), frames) for bone in bones
+        _values_at(curves.rotation(bone), getattr(bone, rotation_path(bone)), frames) for bone in curves.bones
     ]
-    return values, _values_at(curves.location(bones[0].name), bones[0].location, frames)
+    first = curves.bones[0]
+    return values, _values_at(curves.location(first), first.location, frames)
 
 
 def write_pose_keys(rig: PosedBones, keys: PoseKeys, *, holder: Any = None) -> None:
@@ -121,27 +138,21 @@ def write_pose_keys(rig: PosedBones, keys: PoseKeys, *, holder: Any = None) -> N
     it; a new one takes the interpolation of the key before it (the first: straight lines). An action and
     curves are made where they are missing. Quaternions get the sign that is nearest to the key before.
     """
-    names = _bones(rig)
     if holder is None:
+        rig.check()
         rig.allow(keys.quats)
         own_action(rig.armature)
-        chosen = np.flatnonzero(keys.rotation_keyed.any(axis=0)).tolist()
-        check_unlocked(rig, joints=chosen, location=bool(keys.location_keyed.any()))
-    curves = _Curves(rig.armature, holder, make=True)
-    for joint, name in enumerate(names):
-        chosen = keys.rotation_keyed[:, joint]
-        if not chosen.any():
-            continue
-        bone = rig.armature.pose.bones[name]
-        parts = curves.rotation(name, make=True)
-        frames = keys.frames[chosen]
-        for part, values in zip(
-            parts, _from_quats(keys.quats[chosen, joint], bone, parts, frames), strict=True
-        ):
-            _write(part, frames, values)
-    if keys.location_keyed.any():
+        check_unlocked(rig, **keys.channels)
+    curves = _Curves(rig, holder, make=True)
+    for joint in keys.channels["joints"]:
+        rows, bone = keys.rotation_keyed[:, joint], curves.bones[joint]
+        parts, frames = curves.rotation(bone), keys.frames[rows]
+        values = _from_quats(keys.quats[rows, joint], bone, parts, frames)
+        for part, own in zip(parts, values, strict=True):
+            _write(part, frames, own)
+    if keys.channels["location"]:
         rows = keys.location_keyed
-        for part, values in zip(curves.location(names[0], make=True), keys.locations[rows].T, strict=True):
+        for part, values in zip(curves.location(curves.bones[0]), keys.locations[rows].T, strict=True):
             _write(part, keys.frames[rows], values)
     curves.tag()
 
@@ -155,9 +166,8 @@ def writing_pose_keys(
     if not len(joints) and keys.location_keyed.any():
         joints = np.zeros(1, dtype=int)
     for done, joint in enumerate(joints, start=1):
-        rotated = keys.rotation_keyed & (np.arange(keys.rotation_keyed.shape[1]) == joint)
-        located = keys.location_keyed & (joint == joints[0])
-        write_pose_keys(find(), replace(keys, rotation_keyed=rotated, location_keyed=located), holder=holder)
+        chosen = np.arange(keys.rotation_keyed.shape[1]) == joint
+        write_pose_keys(find(), keys.only(chosen, joint == joints[0]), holder=holder)
         yield done / len(joints)
 
 
@@ -175,12 +185,8 @@ def remove_pose_keys(
     if holder is None:
         check_unlocked(rig, joints=joints, location=location)
         own_action(rig.armature)
-    curves = _Curves(rig.armature, holder)
-    names = _bones(rig)
-    found = [c for j in (range(len(names)) if joints is None else joints) for c in curves.rotation(names[j])]
-    if location:
-        found += curves.location(names[0])
-    for curve in filter(None, found):
+    curves = _Curves(rig, holder)
+    for _, curve in curves.there(joints, location):
         data = _read(curve, _EVERYTHING)
         keep = (data["co"][:, 0] < first - SAME_FRAME) | (data["co"][:, 0] > last + SAME_FRAME)
         if not keep.all():
@@ -203,10 +209,10 @@ def replace_keys(
     `frames` (K,); `values` (K, C) in the bone's own rotation mode; where the handles before and behind each
     key lie, (K, C, 2) frame and value. The two handles of a key are aligned.
     """
-    curves, names = _Curves(rig.armature, holder, make=True), _bones(rig)
-    kind, name = (curves.location, names[0]) if joint is None else (curves.rotation, names[joint])
+    curves = _Curves(rig, holder, make=True)
+    kind = curves.location if joint is None else curves.rotation
     kinds = {"interpolation": "BEZIER", "handle_left_type": "ALIGNED", "handle_right_type": "ALIGNED"}
-    for i, curve in enumerate(kind(name, make=True)):
+    for i, curve in enumerate(kind(curves.bones[joint or 0])):
         data = _plain(frames, values[:, i], kinds)
         _rebuild(curve, data | {"handle_left": before[:, i], "handle_right": behind[:, i]})
     curves.tag()
@@ -214,9 +220,9 @@ def replace_keys(
 
 def level_handles(rig: PosedBones, joints: list[int], first: float, last: float) -> None:
     """Have the rotation curves of these bones not swing beyond their keys from frame `first` to `last`."""
-    curves, names = _Curves(rig.armature), _bones(rig)
+    curves = _Curves(rig)
     level = _kind("handle_left_type", "AUTO_CLAMPED")
-    for curve in filter(None, (c for j in joints for c in curves.rotation(names[j]))):
+    for _, curve in curves.there(joints, location=False):
         data = _read(curve, ("co", "handle_left_type", "handle_right_type"))
         at = np.abs(data["co"][:, 0] - np.clip(data["co"][:, 0], first, last)) <= SAME_FRAME
         for name in ("handle_left_type", "handle_right_type"):
@@ -240,10 +246,10 @@ def align_signs(rig: PosedBones) -> None:
     q and -q are the same rotation, so no pose changes.
     """
     own_action(rig.armature)
-    curves = _Curves(rig.armature)
-    for name in _bones(rig):
-        parts = curves.rotation(name)
-        if rig.armature.pose.bones[name].rotation_mode != "QUATERNION" or any(c is None for c in parts):
+    curves = _Curves(rig)
+    for bone in curves.bones:
+        parts = curves.rotation(bone)
+        if bone.rotation_mode != "QUATERNION" or any(c is None for c in parts):
             continue
         data = [_read(c, _PLACES) for c in parts]
         frames = data[0]["co"][:, 0]
@@ -268,8 +274,9 @@ def set_pose(rig: PosedBones, quats: np.ndarray, location: np.ndarray | None = N
 
     Bones whose quaternion is NaN stay as they are.
     """
+    rig.check()
     rig.allow(np.asarray(quats)[None])
-    for name, quat in zip(_bones(rig), quats, strict=True):
+    for name, quat in zip(rig.bones, quats, strict=True):
         if np.isnan(quat).any():
             continue
         bone = rig.armature.pose.bones[name]
@@ -281,78 +288,77 @@ def set_pose(rig: PosedBones, quats: np.ndarray, location: np.ndarray | None = N
         else:
             bone.rotation_euler = Quaternion(quat).to_euler(bone.rotation_mode, bone.rotation_euler)
     if location is not None:
-        rig.armature.pose.bones[_bones(rig)[0]].location = location
+        rig.armature.pose.bones[rig.bones[0]].location = location
 
 
 def is_smooth(rig: PosedBones, *, holder: Any = None) -> bool:
-    """Whether any of the bones' keys lead to the next one by a Bezier curve."""
-    curves, names = _Curves(rig.armature, holder), _bones(rig)
-    parts = [part for name in names for part in (*curves.rotation(name), *curves.location(name))]
-    kinds = [_read(part, ("interpolation",))["interpolation"] for part in parts if part is not None]
+    """True if any of the bones' keys lead to the next one by a Bezier curve."""
+    curves = _Curves(rig, holder).there()
+    kinds = [_read(curve, ("interpolation",))["interpolation"] for _, curve in curves]
     return bool(np.any(np.concatenate([[], *kinds]) == _kind("interpolation", "BEZIER")))
 
 
 def displayed_pose(rig: PosedBones) -> np.ndarray:
     """(B, 4) the rotations that the bones have now, keyed or not, as (w, x, y, z)."""
-    bones = [rig.armature.pose.bones[name] for name in _bones(rig)]
-    return np.array([bone.matrix_basis.to_quaternion() for bone in bones])
+    return np.array([bone.matrix_basis.to_quaternion() for bone in _Curves(rig).bones])
 
 
 def check_unlocked(rig: PosedBones, *, joints: list[int] | None = None, location: bool = True) -> None:
     """Raises OptionError where a channel of these joints (None: all bones), or of the first one's location,
     is locked."""
-    curves, names = _Curves(rig.armature), _bones(rig)
-    asked = [(name, curves.rotation(name)) for j, name in enumerate(names) if joints is None or j in joints]
-    if location:
-        asked.append((names[0], curves.location(names[0])))
-    for name, parts in asked:
-        for curve in parts:
-            if curve is not None and (curve.lock or (curve.group is not None and curve.group.lock)):
-                raise OptionError(
-                    f"the animation channels of the bone {name} of {rig.armature.name!r} are locked: unlock "
-                    "them in the Dope Sheet or the Graph Editor"
-                )
-
-
-def _bones(rig: PosedBones) -> list[str]:
-    """The names of the bones. Raises HandModelError where one of them is missing."""
-    rig.check()
-    return rig.bones
+    for name, curve in _Curves(rig).there(joints, location):
+        if curve.lock or (curve.group is not None and curve.group.lock):
+            raise OptionError(
+                f"the animation channels of the bone {name} of {rig.armature.name!r} are locked: unlock "
+                "them in the Dope Sheet or the Graph Editor"
+            )
 
 
 class _Curves:
-    """The curves of one armature's present action, by bone."""
+    """The curves of a rig's bones in the armature's present action, or in what `holder` holds; `make` makes
+    those that are missing. Raises HandModelError where a bone is missing."""
 
-    def __init__(self, armature: bpy.types.Object, holder: Any = None, *, make: bool = False) -> None:
-        self._armature = armature
-        data = armature.animation_data
+    def __init__(self, rig: PosedBones, holder: Any = None, *, make: bool = False) -> None:
+        rig.check()
+        self._armature, self._make = rig.armature, make
+        self.bones = [rig.armature.pose.bones[name] for name in rig.bones]
+        data = rig.armature.animation_data
         action = data.action if data else None
         if holder is None and make:
-            holder = assign_action(armature, action or bpy.data.actions.new(armature.name))
+            holder = assign_action(rig.armature, action or bpy.data.actions.new(rig.armature.name))
         elif holder is None and action is not None:
-            holder = channels_of(strip_below(armature) or data)
+            holder = channels_of(strip_below(rig.armature) or data)
         self._holder = holder
         self._found = {(c.data_path, c.array_index): c for c in curves_in(holder)}
 
     def tag(self) -> None:
-        """Have Blender look at the keys again: writing them in bulk tells nobody."""
+        """Have Blender look at the keys again: writing them in bulk notifies nobody."""
         if self._holder is not None:
             self._holder.id_data.update_tag()
             self._armature.update_tag(refresh={"TIME"})
 
-    def rotation(self, bone: str, *, make: bool = False) -> list[Any]:
-        """The 3 or 4 curves of a bone's rotation in its own mode; None for those it lacks."""
-        path = rotation_path(self._armature.pose.bones[bone])
-        return self._parts(bone, path, 3 if path == "rotation_euler" else 4, make)
+    def rotation(self, bone: bpy.types.PoseBone) -> list[Any]:
+        """The 3 or 4 curves of a bone's rotation in its own mode; None for missing ones."""
+        path = rotation_path(bone)
+        return self._parts(bone.name, path, 3 if path == "rotation_euler" else 4)
 
-    def location(self, bone: str, *, make: bool = False) -> list[Any]:
-        """The three curves of a bone's location; None for those it lacks."""
-        return self._parts(bone, "location", 3, make)
+    def location(self, bone: bpy.types.PoseBone) -> list[Any]:
+        """The three curves of a bone's location; None for missing ones."""
+        return self._parts(bone.name, "location", 3)
 
-    def _parts(self, bone: str, path: str, count: int, make: bool) -> list[Any]:
+    def there(self, joints: Sequence[int] | None = None, location: bool = True) -> list[tuple[str, Any]]:
+        """The curves that there are of the rotations of these joints (None: of all bones), and of the first
+        bone's location, each with its bone's name."""
+        chosen = self.bones if joints is None else [self.bones[joint] for joint in joints]
+        parts = [(bone.name, curve) for bone in chosen for curve in self.rotation(bone)]
+        if location:
+            parts += [(self.bones[0].name, curve) for curve in self.location(self.bones[0])]
+        return [(name, curve) for name, curve in parts if curve is not None]
+
+    def _parts(self, bone: str, path: str, count: int) -> list[Any]:
         path = f"{bone_path(bone)}.{path}"
         parts = [self._found.get((path, i)) for i in range(count)]
-        if make and self._holder is not None and any(part is None for part in parts):
+        if self._make and self._holder is not None and any(part is None for part in parts):
             present = self._armature.path_resolve(path)
             frames = frames_of(parts)
             for i in range(count):
@@ -430,12 +436,12 @@ def _from_quats(
         there = _values_at(parts, getattr(bone, rotation_path(bone)), frames)
         alike = np.sum(turned * there, axis=-1) / np.maximum(np.linalg.norm(there, axis=-1), 1e-9)
         same = _contains(co[:, 0].astype(np.float64), frames)
-        told = np.abs(alike) > np.where(same, 0.7, 1.0 - 1e-6)
+        known = np.abs(alike) > np.where(same, 0.7, 1.0 - 1e-6)
         among = (frames > co[:, 0].min(initial=np.inf) - SAME_FRAME) & (
             frames < co[:, 0].max(initial=-np.inf) + SAME_FRAME
         )
-        told &= among
-        last = np.maximum.accumulate(np.where(told, np.arange(len(frames)), -1))
+        known &= among
+        last = np.maximum.accumulate(np.where(known, np.arange(len(frames)), -1))
         sign = np.where((last >= 0) & (alike[last] < 0.0), -1.0, 1.0)
         # Between keys, curves are of length one only nearly: what is to stay is not made so.
         turned *= sign[:, None]
@@ -584,6 +590,16 @@ def _plain(
 def _kind(name: str, kind: str) -> int:
     """The number of a key point's enumerated value."""
     return bpy.types.Keyframe.bl_rna.properties[name].enum_items[kind].value
+
+
+def table_text(table: np.ndarray) -> str:
+    """A table (N, C) as text for a property: base64 of little-endian float32."""
+    return base64.b64encode(table.astype("<f4").tobytes()).decode("ascii")
+
+
+def read_table(text: str, columns: int) -> np.ndarray:
+    """(N, `columns`) what `table_text` made a text of. Raises ValueError."""
+    return np.frombuffer(base64.b64decode(text, validate=True), "<f4").reshape(-1, columns).astype(np.float64)
 
 
 CURVES = NUM_JOINTS * 4 + 3

@@ -84,9 +84,7 @@ def end_layer(armature: bpy.types.Object, *, merge: bool) -> None:
         _check_mergeable(armature, strip)
     merged = _merged(armature, strip) if merge else []
     for rig, keys, _ in merged:
-        check_unlocked(
-            rig, joints=[0] if keys.rotation_keyed.any() else [], location=bool(keys.location_keyed.any())
-        )
+        check_unlocked(rig, **keys.channels)
     written: list[tuple[Any, list[_Merged]]] = []
     try:
         for kept in own_kept_actions(armature) if merged else ():

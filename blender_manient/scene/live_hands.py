@@ -42,6 +42,7 @@ from .onto_character import (
     prepared,
     within_locks,
 )
+from .own_scene import remove_blocks
 
 Target = tuple[BlockReference, Side]
 """A character, and which of its hands"""
@@ -224,15 +225,8 @@ def building_preview(
 
 def remove_collection(collection: bpy.types.Collection | None) -> None:
     """Remove a collection of `build_open_hand` with all that is in it."""
-    if collection is None:
-        return
-    objects = list(collection.objects)
-    data = {o.data for o in objects}
-    hung = {m for block in data for m in getattr(block, "materials", ())}
-    hung |= {o.animation_data.action for o in objects if o.animation_data is not None}
-    bpy.data.batch_remove([collection, *objects])
-    for blocks in (data, hung):  # what hung on the first has no user only now
-        bpy.data.batch_remove([block for block in blocks if block is not None and not block.users])
+    if collection is not None:
+        remove_blocks([collection, *collection.objects])
 
 
 def remove_action(armature: bpy.types.Object, action: bpy.types.Action) -> None:

@@ -1,4 +1,4 @@
-"""Whether a scene takes over the footage's frame rate, frame range, size and camera, and what is said of it.
+"""Decides whether a scene takes over the footage's rate, range, size and camera, and says so.
 
 An artist's shot keeps its own unless the artist wants otherwise. A scene counts as nobody's shot while its
 settings are those that Blender starts with, or those of the last footage that it was matched to, while no
@@ -58,7 +58,7 @@ class Footage:
     """0: before a camera of the scene's own, whose size stays"""
     height: int = 0
     timed: bool = True
-    """Whether it has a rate of its own; photos and image sequences have none"""
+    """True if it has a rate of its own; photos and image sequences have none"""
     placed: Timing | None = None
     """Where its frames lie in the scene's time, which stays: those of the clip of the scene's own camera"""
 
@@ -69,7 +69,7 @@ class Footage:
         return cls(take.fps, int(numbers[0]), int(numbers[-1]), *size, has_rate(take), placed)
 
     def is_applied_to(self, scene: bpy.types.Scene) -> bool:
-        """Whether a clip's rate, range and size are the scene's already."""
+        """True if a clip's rate, range and size are the scene's already."""
         render = scene.render
         return (
             self.last > self.first
@@ -85,14 +85,14 @@ class Footage:
 
 
 def matches(scene: bpy.types.Scene, choice: Choice, footage: Footage | None = None) -> bool:
-    """Whether the scene is matched to the footage under this choice."""
+    """True if the scene is matched to the footage under this choice."""
     if footage is not None and footage.placed is not None:
         return False
     return choice == "MATCH" or (choice == "AUTO" and not why_kept(scene, footage))
 
 
 def why_kept(scene: bpy.types.Scene, footage: Footage | None = None) -> str:
-    """What tells that the scene is somebody's shot, for a sentence; empty where nothing does.
+    """Why the scene counts as somebody's shot, as part of a sentence; empty where it does not.
 
     A scene that has the footage's rate, range and size already loses nothing by it.
     """
@@ -154,12 +154,12 @@ def note_matched(scene: bpy.types.Scene, footage: Footage) -> None:
 
 
 def has_matched_size(scene: bpy.types.Scene) -> bool:
-    """Whether the scene's picture size is still what footage has given to it."""
+    """True if the scene's picture size is still what footage has given to it."""
     return has_properties() and _settings(scene, _SIZE) == scene.manient.matched_size
 
 
 def has_matched_time(scene: bpy.types.Scene) -> bool:
-    """Whether the scene's rate and range are still what footage has given to it."""
+    """True if the scene's rate and range are still what footage has given to it."""
     return has_properties() and _settings(scene, _TIME) == scene.manient.matched_time
 
 
@@ -183,7 +183,7 @@ def _settings(scene: bpy.types.Scene | None, names: tuple[str, ...]) -> str:
 
 
 def is_of_a_capture(camera: bpy.types.Object) -> bool:
-    """Whether a capture built it: one of the artist's own lies in no capture's collection."""
+    """True if a capture built it: one of the artist's own lies in no capture's collection."""
     return has_properties() and any(
         camera in (c.manient.camera, c.manient.view_camera) for c in camera.users_collection
     )
@@ -198,7 +198,8 @@ def _moving(scene: bpy.types.Scene) -> Iterator[str]:
         if block is None or data is None:
             continue
         action = data.action
-        still = action is not None and _is_hand(block) and action.frame_range[0] == action.frame_range[1]
+        is_hand = has_properties() and isinstance(block, bpy.types.Object) and block.manient.is_hand
+        still = action is not None and is_hand and action.frame_range[0] == action.frame_range[1]
         if (action is not None and not still) or any(len(track.strips) for track in data.nla_tracks):
             yield block.name
 
@@ -212,10 +213,6 @@ def _blocks(scene: bpy.types.Scene) -> Iterator[bpy.types.ID | None]:
             yield from (slot.material, slot.material and slot.material.node_tree)
 
 
-def _is_hand(block: bpy.types.ID) -> bool:
-    return has_properties() and isinstance(block, bpy.types.Object) and block.manient.is_hand
-
-
 _CAMERA = (7.358891, -6.925791, 4.958309, 1.109319, 0.0, 0.814928, 50.0)
 """Place, rotation and lens"""
 _LIGHT = (4.07625, 1.00545, 5.90386)
@@ -224,7 +221,7 @@ _SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 
 
 def is_untouched(thing: bpy.types.Object) -> bool:
-    """Whether it is the start-up file's camera, light or cube, as Blender made it."""
+    """True if it is the start-up file's camera, light or cube, as Blender made it."""
     data = thing.data
     if thing.name == "Camera" and isinstance(data, bpy.types.Camera):
         found = (*thing.location, *thing.rotation_euler, data.lens)

@@ -53,8 +53,10 @@ def build_mesh(name: str, model: HandModel, shaped: ShapedHand, rig: Rig) -> bpy
     uv, uv_faces = _texture_coordinates(model)
     mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", uv[uv_faces].astype(np.float32).ravel())
     nails = nail_polygons(model)
-    for material in hand_materials(nails=bool(nails.any())):
-        mesh.materials.append(material)
+    # New ones: the artist's own of these names are left alone.
+    mesh.materials.append(_material("Hand Skin", _SKIN, (0.80, 0.56, 0.45, 1.0)))
+    if nails.any():
+        mesh.materials.append(_material("Hand Nails", _NAILS, (0.87, 0.66, 0.58, 1.0)))
     mesh.polygons.foreach_set("material_index", nails.astype(np.int32))
     mesh.update()
 
@@ -103,12 +105,6 @@ def _texture_coordinates(model: HandModel) -> tuple[np.ndarray, np.ndarray]:
     normal_y = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 1]
     is_back = normal_y > 0
     return uv, model.polygons + np.where(is_back, len(flat), 0)[:, None]
-
-
-def hand_materials(nails: bool) -> list[bpy.types.Material]:
-    """New materials, skin first; the artist's own of these names are left alone."""
-    skin = _material("Hand Skin", _SKIN, (0.80, 0.56, 0.45, 1.0))
-    return [skin, _material("Hand Nails", _NAILS, (0.87, 0.66, 0.58, 1.0))] if nails else [skin]
 
 
 def _material(

@@ -186,7 +186,7 @@ def _mirrored_action(source: Rig, rig: Rig) -> Any:
 
 
 def _turns_over(attribute: str, index: int) -> bool:
-    """Whether a mirror across a bone's X changes the sign of this part of its transform."""
+    """True if a mirror across a bone's X changes the sign of this part of its transform."""
     return {
         "location": index == 0,
         "rotation_quaternion": index >= 2,

@@ -69,7 +69,7 @@ from .keys import (
     writing_pose_keys,
 )
 from .moving_body import check_moved_in_time
-from .sampling import posed_bones, rests, rotations_of, sampled_pose
+from .sampling import of_bones, rests, rotations_of, sample_unseen, sampling_unseen
 from .store import CapturedHand, timing_of
 from .timing import Timing, check_range, frame_rate
 from .transfer_options import Anchor, Into, TransferOptions, Wrist
@@ -84,8 +84,6 @@ _TURNING = {"COPY_ROTATION", "COPY_TRANSFORMS", "TRANSFORM", "ARMATURE", "CHILD_
 
 _CHUNK = 250
 """frames that are computed at once, in some milliseconds"""
-_SAMPLED = 20
-"""frames that Blender evaluates at once, where keys do not tell all"""
 
 _SURE, _LIKELY = 0.75, 0.45
 """How sure a hand must be recognised for these words"""
@@ -171,11 +169,8 @@ def reading_motion(
     if is_keyframed(rig):
         quats, locations = pose_at(rig, wanted)
     else:
-        shown = []
-        for start in range(0, len(wanted), _SAMPLED):
-            shown.append(sampled_pose(rig, wanted[start : start + _SAMPLED]))
-            yield
-        quats, locations = (np.concatenate(parts) for parts in zip(*shown, strict=True))
+        sampled = yield from map_yields(sampling_unseen(rig.armature, wanted), lambda: None)
+        quats, locations = of_bones(rig, sampled)
     turns = rest.frames @ quat_to_rotmat(quats) @ np.swapaxes(rest.frames, -1, -2)
     return Motion.of(hand, wanted, turns, rest.wrist + locations @ rest.frames[0].T)
 
@@ -202,7 +197,7 @@ def motion_of(take: Take, track: HandTrack, model: str | None = None) -> Motion:
 
 
 def is_keyframed(rig: PosedBones) -> bool:
-    """Whether nothing but the present action's keys moves the bones: no layer, strip, constraint, driver or
+    """True if nothing but the present action's keys moves the bones: no layer, strip, constraint, driver or
     control, and no curve that is muted or modified."""
     armature, data = rig.armature, rig.armature.animation_data
     if any(
@@ -291,7 +286,7 @@ def computing(
             yield 0.0
         fingers = CharacterBones(armature, target.bones)
         wanted = PoseKeys.everywhere(motion.frames, quats)
-        keys.append(BoneKeys(fingers, replace(wanted, rotation_keyed=wanted.rotation_keyed & keyed)))
+        keys.append(BoneKeys(fingers, wanted.only(keyed, False)))
         if arm is not None and motion.arm is not None:
             wrists = motion.turns[:, 0]
             of_arm = yield from keying_arm(armature, arm, target, motion.arm, motion.frames, wrists, onto)
@@ -325,13 +320,10 @@ def _arm_of(armature: bpy.types.Object, hand_map: HandMap, motion: Motion) -> tu
 def _write_into_present(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> None:
     """Replace keys of the present action in one step: a stop half-way would lose the former keys."""
     for one in keys:
-        located = bool(one.keys.location_keyed.any())
-        check_unlocked(one.rig, joints=np.flatnonzero(one.keyed).tolist(), location=located)
+        check_unlocked(one.rig, **one.keys.channels)
     own_action(armature)
     for one in keys:
-        first, last = float(one.keys.frames[0]), float(one.keys.frames[-1])
-        located = bool(one.keys.location_keyed.any())
-        remove_pose_keys(one.rig, first, last, joints=np.flatnonzero(one.keyed).tolist(), location=located)
+        remove_pose_keys(one.rig, *one.keys.frames[[0, -1]].tolist(), **one.keys.channels)
     run_to_completion(writing(keys))
     record_all_written_keys(armature, keys)
 
@@ -365,7 +357,7 @@ def writing_anew(
 
 
 def writing(keys: Sequence[BoneKeys], holder: Any = None) -> Generator[float, None, None]:
-    """Write keys, a bone per step; tells how much is done, 0..1."""
+    """Write keys, a bone per step; yields how much is done, 0..1."""
     for number, one in enumerate(keys):
         for done in writing_pose_keys(lambda one=one: one.rig, one.keys, holder=holder):
             yield (number + done) / len(keys)
@@ -409,14 +401,11 @@ def _moving(
     at = int(np.argmin(np.abs(motion.frames - onto.reference)))
     own, bone = target.hand_map.bones[0], armature.data.bones[control]
     parent = bone.parent
-    parents = np.empty((len(motion.frames), 4, 4))
-    marked = posed_bones(armature, motion.frames[[at]], [own, *([parent.name] if parent else [])])[0]
-    parents[:] = marked[-1]
+    names = [own, *([parent.name] if parent else [])]
+    marked = sample_unseen(armature, motion.frames[[at]], names).of(names)[0]
+    parents = np.broadcast_to(marked[-1], (len(motion.frames), 4, 4))
     if parent is not None and not rests(armature, parent):
-        for start in range(0, len(parents), _SAMPLED):
-            some = slice(start, start + _SAMPLED)
-            parents[some] = posed_bones(armature, motion.frames[some], [parent.name])[:, 0]
-            yield 0.5 * start / len(parents)
+        parents = (yield from sampling_unseen(armature, motion.frames, names[1:])).of(names[1:])[:, 0]
     places, wrist = smoothed_travel(motion.frames, motion.places, motion.turns[:, 0], onto.smoothing)
     located = is_located(bone, onto.wrist)
     noted, offset, shift = None, np.zeros(3), np.zeros(3)
@@ -447,7 +436,7 @@ def check_movable(armature: bpy.types.Object, control: str) -> None:
 
 
 def is_located(bone: bpy.types.Bone, wrist: Wrist) -> bool:
-    """Whether the bone that moves a whole hand is moved, and not only turned."""
+    """True if the bone that moves a whole hand is moved, and not only turned."""
     return wrist == "PLACED" and not bone.use_connect
 
 
@@ -491,7 +480,7 @@ def channels_of(bone: bpy.types.Bone, standing: np.ndarray, parent: np.ndarray) 
 
 
 def is_adjusted(armature: bpy.types.Object) -> bool:
-    """Whether the keys that were written for its hands themselves are as the panel's settings are now."""
+    """True if the keys that were written for its hands themselves are as the panel's settings are now."""
     onto = TransferOptions.of(armature)
     for side in SIDES:
         found = written_keys(armature, side)
@@ -507,7 +496,7 @@ def is_adjusted(armature: bpy.types.Object) -> bool:
 def adjusting(
     armature: bpy.types.Object, hands: Sequence[tuple[HandMap, CapturedHand]]
 ) -> Generator[float, None, int]:
-    """Write the keys of the hands themselves anew that were written for them, as the panel's settings are
+    """Rewrite the keys that were written for the hands themselves, as the panel's settings are
     now. Returns how many frames keep keys that the artist has made of them since. Raises HandfitError, before
     anything is changed."""
     onto, computed, kept = TransferOptions.of(armature), [], 0
@@ -523,11 +512,7 @@ def adjusting(
         as_before = replace(onto, time_offset=found.time_offset)
         one = yield from _moving(armature, target, motion, as_before)
         there = nearest(found.table[:, 0], one.keys.frames)[1]
-        whole = replace(
-            one.keys,
-            rotation_keyed=one.keys.rotation_keyed & there[:, None],
-            location_keyed=one.keys.location_keyed & there,
-        )
+        whole = one.keys.only(there[:, None], there)
         own = without_artist_keys(armature, replace(one, keys=whole))
         kept += int((whole.rotation_keyed & ~own.keys.rotation_keyed).sum())
         if not own.keys.rotation_keyed.any():
@@ -634,44 +619,44 @@ def _give(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, into:
 def hand_messages(armature: bpy.types.Object, side: Side, wanted: bool) -> list[tuple[str, str]]:
     """What a hand was taken for, and what stands in its way: sentences and their icons. That the character
     lacks it is no error where nothing would move it, and the other hand is known."""
-    told = []
+    messages = []
     if is_damaged(armature, side):
         text = "The kept table of this hand is damaged and not used: press Bones > Recognise Again"
-        told.append((text, "ERROR"))
+        messages.append((text, "ERROR"))
     try:
         hand_map = hand_map_of(armature, side)
     except HandModelError as error:
         lacked = not wanted and table_of(armature, other_side(side)).mapped
-        return [*told, (capitalised(str(error)), "INFO" if lacked else "ERROR")]
+        return [*messages, (capitalised(str(error)), "INFO" if lacked else "ERROR")]
     try:
         rig, kept, used = hand_map.rig or "Unknown rig", kept_map(armature, side), rig_used(armature, side)
         if kept is not None:
-            told.append((f"{rig}, with your own table", "CHECKMARK"))
+            messages.append((f"{rig}, with your own table", "CHECKMARK"))
         elif used is not None:
-            told.append((used.label, "CHECKMARK"))
+            messages.append((used.label, "CHECKMARK"))
         elif (sure := recognised(armature, side).sure) >= _SURE:
-            told.append((f"{rig}, for sure", "CHECKMARK"))
+            messages.append((f"{rig}, for sure", "CHECKMARK"))
         elif sure < DOUBTFUL:
-            told.append(("This may be no hand: look at Bones below", "ERROR"))
+            messages.append(("This may be no hand: look at Bones below", "ERROR"))
         else:
             doubt = "likely" if sure >= _LIKELY else "perhaps"
-            told.append((f"{rig}, {doubt}: look at Bones below", "QUESTION"))
+            messages.append((f"{rig}, {doubt}: look at Bones below", "QUESTION"))
         hand_map.check(armature.data.bones)
         if keyless := without_keys(armature, hand_map).get(UNKNOWN):
-            told.append((capitalised(said_without_keys({UNKNOWN: keyless})), "INFO"))
+            messages.append((capitalised(said_without_keys({UNKNOWN: keyless})), "INFO"))
         if kept is None and used is None and (but := recognised(armature, side).but):
-            told.append((capitalised(but), "INFO"))
+            messages.append((capitalised(but), "INFO"))
     except HandModelError as error:
-        return [*told, (capitalised(str(error)), "ERROR")]
+        return [*messages, (capitalised(str(error)), "ERROR")]
     if armature.manient.character.wrist == "FINGERS":
         hand_map = replace(hand_map, control="")
-    told += [(text, "ERROR") for text in map(_capitalised_name_kept, troubles(armature, hand_map))]
+    messages += [(text, "ERROR") for text in map(_capitalised_name_kept, troubles(armature, hand_map))]
     reasons = [why for name in hand_map.keyed if (why := why_not_turned(armature, name)) is not None]
     if reasons:
         more = f", and {counted(len(reasons) - 1, 'other bone')} too" if len(reasons) > 1 else ""
         text = _capitalised_name_kept(reasons[0].removesuffix(": it was left alone"))
-        told.append((f"{text}: it is left alone{more}", "INFO"))
-    return told
+        messages.append((f"{text}: it is left alone{more}", "INFO"))
+    return messages
 
 
 def _capitalised_name_kept(sentence: str) -> str:

@@ -23,7 +23,7 @@ from .keys import change_places
 from .own_scene import object_mode
 from .sampling import shown_now
 from .simplify import all_actions, keeping_simplified
-from .store import CapturedHand
+from .store import CapturedHand, is_deformed_by
 
 _MOVING = ("location", "rotation", "scale", "delta_")
 """How the data paths begin that move an object"""
@@ -91,7 +91,7 @@ def _move_origin(armature: bpy.types.Object, moved: Matrix) -> None:
     for path, values in kept.items():  # which only rounding would change
         setattr(armature, path, values)
     for other in bpy.data.objects:
-        deformed = any(m.type == "ARMATURE" and m.object == armature for m in other.modifiers)
+        deformed = is_deformed_by(other, armature)
         if other.parent == armature and other.parent_type == "OBJECT" and not deformed:
             other.matrix_parent_inverse = moved.inverted() @ other.matrix_parent_inverse
         elif deformed and other.parent != armature:  # it has to lie about the bones as before

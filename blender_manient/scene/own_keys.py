@@ -11,8 +11,6 @@ the same way.
 
 from __future__ import annotations
 
-import base64
-import binascii
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -31,7 +29,7 @@ from handfit_core.hand_model.motion import HandMotion
 from handfit_core.take import at_rows
 
 from .corrections import check_writable, corrections_of, keep_field, without_field
-from .keys import PoseKeys, nearest, pose_at, read_pose_keys, writing_pose_keys
+from .keys import PoseKeys, nearest, pose_at, read_pose_keys, read_table, table_text, writing_pose_keys
 from .store import CapturedHand, hand_of, scene_frames
 
 _SAME_TURN = 1e-4
@@ -77,8 +75,7 @@ def note_fitted(
     new = np.column_stack([frames, orient, np.reshape(pose, (-1, 45)), shaped.joints[0] + transl])
     old = _noted(armature)
     table = np.concatenate([old[~np.isin(old[:, 0], new[:, 0])], new])
-    table = table[np.argsort(table[:, 0])].astype("<f4")
-    armature.manient.fitted = base64.b64encode(table.tobytes()).decode("ascii")
+    armature.manient.fitted = table_text(table[np.argsort(table[:, 0])])
 
 
 def _fitted(hand: CapturedHand, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -103,9 +100,8 @@ def _noted(armature: bpy.types.Object) -> np.ndarray:
     """(N, 52) what `note_fitted` has kept: source frame, increasing, and pose. Nothing where that cannot be
     read: then keys count as made by hand."""
     try:
-        data = base64.b64decode(armature.manient.fitted, validate=True)
-        return np.frombuffer(data, dtype="<f4").reshape(-1, 1 + _POSE).astype(np.float64)
-    except (ValueError, binascii.Error):
+        return read_table(armature.manient.fitted, 1 + _POSE)
+    except ValueError:
         return np.empty((0, 1 + _POSE))
 
 
@@ -117,7 +113,7 @@ class Smoothed:
     field: CorrectionField
     """The corrections on top of the new motion"""
     numbers: list[int]
-    """The M source frames that were fitted anew"""
+    """The M source frames that were fitted again"""
     quats: np.ndarray
     """(M, 16, 4) their keys without corrections; where the artist has keyed: the new motion"""
     locations: np.ndarray
@@ -137,7 +133,7 @@ def smoothed(
     locations: np.ndarray,
     spread: float,
 ) -> Smoothed:
-    """What becomes of the keys on the take's `rows` (N,), increasing, where the motion is fitted anew.
+    """What becomes of the keys on the take's `rows` (N,), increasing, where the motion is fitted again.
 
     `wanted` (N,) bool: the rows that get it; the others are fitted to lead there. quats (N, 16, 4) and
     locations (N, 3) are the motion about the bones' rest, NaN without a hand. What stays is led to over

@@ -3,10 +3,29 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
+from typing import Any
 
 import bpy
 import numpy as np
+
+
+def remove_blocks(blocks: Iterable[bpy.types.ID], ours: Collection[bpy.types.ID] = ()) -> None:
+    """Remove data-blocks, and all that nobody but these uses, however deep: data, actions, materials. Scenes,
+    collections and what lies in one stay, and so does what has a fake user, unless it is one of `ours`."""
+    gone = set(blocks)
+    unused = {block: them for block, them in bpy.data.user_map().items() if them and _may_go(block, ours)}
+    while more := {block for block, them in unused.items() if them <= gone} - gone:
+        gone |= more
+    bpy.data.batch_remove([block for block in gone if not isinstance(block, bpy.types.Key)])  # go with meshes
+
+
+def _may_go(block: bpy.types.ID, ours: Collection[bpy.types.ID]) -> bool:
+    if isinstance(block, bpy.types.Collection | bpy.types.Scene):
+        return False
+    if isinstance(block, bpy.types.Object) and block.users_collection:
+        return False
+    return not block.use_fake_user or block in ours
 
 
 @contextlib.contextmanager
@@ -108,26 +127,29 @@ def _set_transforms(obj: bpy.types.Object, kept: dict[str, tuple[np.ndarray, np.
 
 
 @contextlib.contextmanager
-def shown_in_pose(objects: Iterable[bpy.types.Object | None]) -> Iterator[None]:
+def with_values(values: Iterable[tuple[Any, str, Any]]) -> Iterator[None]:
+    """Attributes of data-blocks and their parts have these values meanwhile: owner, name, value."""
+    before = []
+    try:
+        for owner, name, value in values:
+            if (present := getattr(owner, name)) != value:
+                setattr(owner, name, value)
+                before.append((owner, name, present))
+        yield
+    finally:
+        for owner, name, value in before:
+            setattr(owner, name, value)
+
+
+def shown_in_pose(
+    objects: Iterable[bpy.types.Object | None],
+) -> contextlib.AbstractContextManager[None]:
     """Objects that the artist hid, and armatures left in Rest Position, are shown as they move meanwhile.
 
     Blender evaluates nothing that is hidden: it would be read as it stood when it was hidden.
     """
-    wanted: list[tuple[bpy.types.ID, str, object]] = []
-    for obj in objects:
-        if obj is None:
-            continue
-        wanted += [(obj, "hide_viewport", False), (obj, "hide_render", False)]
-        if obj.type == "ARMATURE":
-            wanted.append((obj.data, "pose_position", "POSE"))
-    changed = []
-    try:
-        for block, name, value in wanted:
-            before = getattr(block, name)
-            if before != value:
-                setattr(block, name, value)
-                changed.append((block, name, before))
-        yield
-    finally:
-        for block, name, before in changed:
-            setattr(block, name, before)
+    there = [obj for obj in objects if obj is not None]
+    values: list[tuple[Any, str, Any]] = [(obj, "hide_viewport", False) for obj in there]
+    values += [(obj, "hide_render", False) for obj in there]
+    values += [(obj.data, "pose_position", "POSE") for obj in there if obj.type == "ARMATURE"]
+    return with_values(values)

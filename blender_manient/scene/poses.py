@@ -120,7 +120,7 @@ class PosableHand(ABC):
         return np.tile([1.0, 0.0, 0.0, 0.0], (len(self.rig.bones), 1))
 
     def is_selected(self, context: bpy.types.Context) -> bool:
-        """Whether any bone of it is, in Pose mode."""
+        """True if any bone of it is, in Pose mode."""
         return bool(self._selected(context))
 
     @abstractmethod

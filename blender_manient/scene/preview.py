@@ -21,7 +21,7 @@ from handfit_core.take import Take
 from .background import Plate, load_plate, rows_of
 from .build import BuiltTake
 from .camera import build_camera, frame_scene
-from .own_scene import unseen_scene
+from .own_scene import unseen_scene, with_values
 from .proof import is_whole_png, prove_whole
 from .render_setup import SUNS, picture_card, sun
 
@@ -144,8 +144,6 @@ def _scene(take: Take, scale: float) -> Iterator[bpy.types.Scene]:
     It is the open one meanwhile, since movies and image sequences follow that one's frame whichever scene is
     rendered. Blender has no window here that an artist looks at.
     """
-    window = bpy.context.window
-    before = window.scene
     with unseen_scene("preview") as scene:
         frame_scene(scene, take, scale)
         scene.render.engine = "CYCLES"
@@ -160,11 +158,8 @@ def _scene(take: Take, scale: float) -> Iterator[bpy.types.Scene]:
         scene.cycles.device = "CPU"
         scene.cycles.use_denoising = False
         scene.cycles.use_adaptive_sampling = False
-        window.scene = scene
-        try:
+        with with_values([(bpy.context.window, "scene", scene)]):
             yield scene
-        finally:
-            window.scene = before
 
 
 def _render(scene: bpy.types.Scene, frame: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Whether a file that Blender wrote is whole.
+"""Checks that a file that Blender wrote is whole.
 
 Blender's writers in C++ say nothing when the disk is full and leave the beginning of a file. Their formats
 have something that is written last, or that says how long the file is, and that is what is looked at here.
@@ -38,7 +38,7 @@ def prove_whole(path: Path, beside: Path, is_whole: Callable[[BinaryIO, int], bo
 
 
 def is_whole_png(stream: BinaryIO, _size: int) -> bool:
-    """Whether a PNG has the empty chunk at its end."""
+    """True if a PNG has the empty chunk at its end."""
     if stream.read(8) != b"\x89PNG\r\n\x1a\n":
         return False
     stream.seek(-12, io.SEEK_END)

@@ -144,7 +144,7 @@ def sun(name: str, right: float, up: float, strength: float) -> bpy.types.Object
 
 
 def _is_lit(scene: bpy.types.Scene) -> bool:
-    """Whether the artist has seen to light: with a lamp that renders show, or a sky or a picture as world."""
+    """True if the artist has seen to light: with a lamp that renders show, or a sky or a picture as world."""
     lamps = (o for layer in scene.view_layers for o in _rendered(layer.layer_collection) if o.type == "LIGHT")
     if any(not (OURS in o or is_untouched(o)) for o in lamps):
         return True

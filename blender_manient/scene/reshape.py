@@ -35,7 +35,7 @@ from handfit_core.hand_model.shape_names import shape_names
 
 from ..common.blender_versions import channels
 from ..rigs.rig import Rig
-from .actions import own_action
+from .actions import own_action, own_data
 from .corrections import change_corrections, corrections_of
 from .editable import check_editable
 from .keys import pose_at, read_pose_keys, set_pose, write_pose_keys
@@ -71,7 +71,7 @@ def shape_changed(armature: bpy.types.Object) -> None:
 
 
 def is_current(armature: bpy.types.Object) -> bool:
-    """Whether mesh and rig have the shape that the sliders say (or the object is no finished hand)."""
+    """True if mesh and rig have the shape that the sliders say (or the object is no finished hand)."""
     if not armature.manient.is_hand or armature.get(APPLIED) is None:
         return True
     return _has_its_betas(armature) and _wanted_wrist(armature) == armature.manient.wrist
@@ -94,7 +94,7 @@ def trouble(armature: bpy.types.Object) -> str | None:
 
 
 def shape_names_of(hand: CapturedHand) -> tuple[str | None, ...]:
-    """What each of the (10,) shape sliders does, as the hand's model tells; None for those without a name,
+    """Names of the (10,) shape sliders, by what they do in the hand's model; None for those without a name,
     which all are where the model cannot be read. Cheap enough for drawing."""
     try:
         return _names(kept_model(hand.take.model, hand.side))
@@ -133,7 +133,9 @@ def reshape(armature: bpy.types.Object) -> None:
     betas = hand.betas
     after = model.shaped(betas)
     with object_mode():
-        _own_data(armature, mesh)
+        own_action(armature, nla=True)
+        for obj in filter(None, (armature, mesh)):
+            own_data(obj)
         old_rest = hand.rig.rest
         if not _has_its_betas(armature):
             _reshape_rig(hand.rig, after)
@@ -235,15 +237,6 @@ def _turn_corrections(armature: bpy.types.Object, old: RestPose, new: RestPose) 
         )
 
     change_corrections(all_actions(armature), turned)
-
-
-def _own_data(armature: bpy.types.Object, mesh: bpy.types.Object | None) -> None:
-    """Copies of what other objects use too, so that only this hand changes."""
-    own_action(armature, nla=True)
-    if armature.data.users - armature.data.use_fake_user > 1:
-        armature.data = armature.data.copy()
-    if mesh is not None and (mesh.data.users - mesh.data.use_fake_user > 1 or mesh.data.library is not None):
-        mesh.data = mesh.data.copy()
 
 
 def _reshape_mesh(

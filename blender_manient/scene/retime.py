@@ -1,4 +1,4 @@
-"""Captures whose scene has another rate than that which they were built for: noticed, and built for it anew.
+"""Captures whose scene has another rate than that which they were built for: noticed, and built again for it.
 
 What the artist did stays: keys are sampled from the present motion, and a corrected frame keeps its pose on
 the nearest frame of the new rate.
@@ -30,7 +30,7 @@ from handfit_core.take import Take
 from ..rigs.arm import ArmBones, has_arm
 from ..rigs.rig import PosedBones
 from .actions import present_curves
-from .background import movie_plate, shown_file
+from .background import movie_plate, path_of, shown_file
 from .confidence import is_marked, mark_doubtful
 from .corrections import check_writable, corrections_of, keep_field
 from .editable import check_unlayered
@@ -57,8 +57,7 @@ from .store import (
     kept_take,
     timing_of,
 )
-from .timing import Timing, frame_rate, nearest_rate
-from .views import view_timing
+from .timing import Timing, frame_rate, nearest_rate, view_timing
 
 
 def other_rate(scene: bpy.types.Scene, collection: bpy.types.Collection | None) -> float:
@@ -226,7 +225,7 @@ def _retime_plate(collection: bpy.types.Collection, take: Take, clip: Timing) ->
         return
     path, _ = shown_file(take)
     for image, user in list(_image_users(collection)):
-        if image is not None and Path(bpy.path.abspath(image.filepath, library=image.library)) == path:
+        if image is not None and path_of(image) == path:
             movie_plate(image, take, clip).apply_timing(user)
 
 

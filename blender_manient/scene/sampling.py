@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import bpy
@@ -14,6 +15,8 @@ from ..rigs.rig import PosedBones, bone_path
 from .actions import present_curves
 from .own_scene import object_mode, shown_in_pose, unseen_scene
 
+_AT_ONCE = 20
+"""frames that Blender evaluates in one slice"""
 _SHEARED = 1e-4
 """how far the axes of a bone, of length 1, may be from its nearest rotation"""
 
@@ -33,6 +36,10 @@ class Sampled:
     world: np.ndarray
     """(N, 4, 4) the armature's space in the world, in the scene's units"""
 
+    def of(self, names: Sequence[str]) -> np.ndarray:
+        """(N, K, 4, 4) the named bones, posed in the armature's space."""
+        return self.pose[:, [self.names.index(name) for name in names]]
+
     def basis(self) -> np.ndarray:
         """(N, B, 4, 4) what each bone does relative to its rest and its parent."""
         found = np.empty_like(self.pose)
@@ -44,7 +51,7 @@ class Sampled:
             found[:, bone] = np.linalg.inv(self.pose[:, parent] @ offset) @ self.pose[:, bone]
         return found
 
-    def hung(self, tree: Mapping[str, str]) -> Sampled:
+    def reparented(self, tree: Mapping[str, str]) -> Sampled:
         """The bones of `tree` alone, which maps each bone's name to its new parent's, empty for a root.
 
         Files hold no shear: where a bone would have it because one above is stretched, those above keep their
@@ -157,14 +164,25 @@ def sample_unseen(
         return sample(armature, frames, scene, names)
 
 
-def posed_bones(armature: bpy.types.Object, frames: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """(N, B, 4, 4) bones in the armature's space, as they are shown on N frames."""
-    sampled = sample_unseen(armature, frames, names)
-    return sampled.pose[:, [sampled.names.index(name) for name in names]]
+def sampling_unseen(
+    armature: bpy.types.Object,
+    frames: np.ndarray,
+    names: Collection[str] | None = None,
+    around: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
+) -> Generator[float, None, Sampled]:
+    """`sample_unseen`, some frames at a time; yields how much is done, 0..1. Blender evaluates them in a
+    context that `around` makes."""
+    parts = []
+    for start in range(0, len(frames), _AT_ONCE):
+        with around():
+            parts.append(sample_unseen(armature, frames[start : start + _AT_ONCE], names))
+        yield start / len(frames)
+    pose, world = (np.concatenate([getattr(part, name) for part in parts]) for name in ("pose", "world"))
+    return replace(parts[0], pose=pose, world=world)
 
 
 def rests(armature: bpy.types.Object, bone: bpy.types.Bone) -> bool:
-    """Whether nothing can move a bone over time: no key, driver, strip or constraint of it or above it."""
+    """True if nothing can move a bone over time: no key, driver, strip or constraint of it or above it."""
     data = armature.animation_data
     above = {b.name for b in (bone, *bone.parent_recursive)}
     if any(len(armature.pose.bones[name].constraints) for name in above):

@@ -179,7 +179,7 @@ def thinning(hand: Hand, bounds: Bounds) -> Generator[int, None, Thinned]:
 
 
 def state_of(hand: Hand) -> str:
-    """What tells all that `thinning` reads of a hand, keys above all, from what else it may be."""
+    """A digest of all that `thinning` reads of a hand: its keys, above all."""
     armature, data = hand.rig.armature, hand.rig.armature.animation_data
     users = (
         [] if data is None or data.action is None else [(data.action, action_slot(data)), _source(armature)]
@@ -270,7 +270,7 @@ def keeping_simplified(armature: bpy.types.Object) -> Iterator[None]:
 
 
 def _is_unchanged(user: Any) -> bool:
-    """Whether an action with fewer keys is as Simplify has left it."""
+    """True if an action with fewer keys is as Simplify has left it."""
     return _digest(user.action, action_slot(user)) == _note(user.action)["digest"]
 
 

@@ -75,7 +75,7 @@ class Span:
     spread: float
     """frames before and after over which it blends with what is there"""
     is_open: bool = False
-    """Whether nothing comes after `last`"""
+    """True if nothing comes after `last`"""
 
     def weights(self, frames: np.ndarray) -> np.ndarray:
         """(N,) scene frames -> how much of the pose they have, 0..1."""

@@ -8,7 +8,6 @@ never registered it) nothing is kept and no hand is known.
 from __future__ import annotations
 
 import base64
-import binascii
 import contextlib
 import hashlib
 from collections import OrderedDict
@@ -33,8 +32,9 @@ from handfit_core.take import HandTrack, Take
 
 from ..rigs import rig_of
 from ..rigs.rig import Rig
+from .background import shown_number
 from .keys import nearest
-from .timing import Timing
+from .timing import Timing, view_timing
 
 _CACHED = 8
 """takes that are kept decoded"""
@@ -113,7 +113,7 @@ class CapturedHand:
         return quats, locations
 
     def is_of_other_model(self) -> bool:
-        """Whether the model's joints lie elsewhere now; no where it cannot be read."""
+        """True if the model's joints lie elsewhere now; False where it cannot be read."""
         try:
             return is_of_other_model(self.take, self.track, self.model())
         except HandModelError:
@@ -121,7 +121,7 @@ class CapturedHand:
 
 
 def is_of_other_model(take: Take, track: HandTrack, model: HandModel) -> bool:
-    """Whether a take's hand has other joints than this model; versions may differ in their skin alone."""
+    """True if a take's hand has other joints than this model; versions may differ in their skin alone."""
     if take.model_digests.get(model.side) in (None, model.digest):
         return False
     row = int(np.argmax(track.present))
@@ -189,7 +189,7 @@ def captured_hands(scene: bpy.types.Scene, *, shown: bool = False) -> list[bpy.t
 
 
 def is_in_hidden_capture(obj: bpy.types.Object) -> bool:
-    """Whether an object is in hidden captures only (`captures.hide_others`)."""
+    """True if an object is in hidden captures only (`captures.hide_others`)."""
     return all(c.manient.is_capture and c.hide_viewport for c in obj.users_collection)
 
 
@@ -260,7 +260,7 @@ def attached_objects(hand: CapturedHand) -> list[bpy.types.Object]:
         o
         for o in bpy.data.objects
         if o.parent == armature
-        or _moved_by(o, armature)
+        or is_deformed_by(o, armature)
         or any(c.type == "CHILD_OF" and c.target == armature for c in o.constraints)
     ]
     return sorted((o for o in others if o != hand.mesh and o.users_collection), key=lambda o: o.name)
@@ -296,13 +296,22 @@ def clip_timing(collection: bpy.types.Collection) -> Timing:
     return Timing(first - scale * number, scale)
 
 
+def row_of_view(collection: bpy.types.Collection, frame: float) -> int | None:
+    """The row, among the frames of a capture's second view, of the picture that its plate shows on a scene
+    frame; None where the clip has none. Raises TakeError."""
+    captured = captured_take(collection)
+    view, timing = captured.view(1), view_timing(captured, clip_timing(collection))
+    rows = np.flatnonzero(view.frame_numbers == shown_number(view, timing, int(np.floor(frame + 1e-3))))
+    return int(rows[0]) if len(rows) else None
+
+
 def scene_frames(collection: bpy.types.Collection, take: Take) -> np.ndarray:
     """(T,) scene frames of the take's rows; they may lie between whole ones."""
     return timing_of(collection).scene_frames(take.frame_numbers)
 
 
 def has_properties() -> bool:
-    """Whether the add-on's properties exist, to keep anything in."""
+    """True if the add-on's properties exist, to keep anything in."""
     return hasattr(bpy.types.Collection, "manient")
 
 
@@ -358,7 +367,7 @@ def _mesh_of(armature: bpy.types.Object, take: Take, side: Side) -> bpy.types.Ob
     marked = armature.manient.mesh
     # A copy of the armature alone still names the original's mesh, and a mesh that was deleted in the
     # viewport lives on as long as something names it.
-    own = marked is not None and (marked.parent == armature or _moved_by(marked, armature))
+    own = marked is not None and (marked.parent == armature or is_deformed_by(marked, armature))
     if marked is not None and own and marked.users_collection:
         return marked
     found = [o for o in _deformed_by(armature) if o.users_collection]
@@ -371,10 +380,11 @@ def _mesh_of(armature: bpy.types.Object, take: Take, side: Side) -> bpy.types.Ob
 
 
 def _deformed_by(armature: bpy.types.Object) -> list[bpy.types.Object]:
-    return [o for o in armature.children if o.type == "MESH" and _moved_by(o, armature)]
+    return [o for o in armature.children if o.type == "MESH" and is_deformed_by(o, armature)]
 
 
-def _moved_by(obj: bpy.types.Object, armature: bpy.types.Object) -> bool:
+def is_deformed_by(obj: bpy.types.Object, armature: bpy.types.Object) -> bool:
+    """True if a modifier of the object follows the armature."""
     return any(m.type == "ARMATURE" and m.object == armature for m in obj.modifiers)
 
 
@@ -392,7 +402,7 @@ def _decoded(collection: bpy.types.Collection, text: str, digest: str) -> Take |
     where = f"the take in the collection {collection.name}"
     try:
         data = base64.b64decode(text, validate=True)
-    except (binascii.Error, ValueError):
+    except ValueError:
         data = b""
     if hashlib.sha256(data).hexdigest()[:32] != digest:
         return TakeError(f"{where} is damaged; import the take file, or capture again")

@@ -43,7 +43,7 @@ def check_range(take: Take, timing: Timing) -> None:
 
 
 def has_rate(take: Take) -> bool:
-    """Whether the take's pictures have times of their own; photos and image sequences have none."""
+    """True if the take's pictures have times of their own; photos and image sequences have none."""
     return take.source.kind in ("video", "data")
 
 
@@ -90,8 +90,19 @@ def in_scene(scene: bpy.types.Scene, take: Take, frame: float | None = None) -> 
     )
 
 
+def view_timing(take: Take, clip: Timing) -> Timing:
+    """Where the frames of a take's second view lie in the time of a scene in which its own lie as `clip`
+    says."""
+    assert take.cameras is not None
+    view = take.cameras.views[0]
+    rate = clip.scale * take.fps
+    scale = rate / view.fps if is_other_rate(rate, view.fps) else 1.0
+    began = float(clip.scene_frames(take.frame_numbers[:1])[0]) + rate * float(take.cameras.time_offset[1])
+    return Timing(began - scale * float(view.frame_numbers[0]), scale)
+
+
 def is_retimed(scene: bpy.types.Scene, fps: float) -> bool:
-    """Whether a clip of that rate is retimed in a scene that keeps its own."""
+    """True if a clip of that rate is retimed in a scene that keeps its own."""
     return is_other_rate(frame_rate(scene), fps)
 
 

@@ -104,7 +104,7 @@ def option_property(name: str, units: float = 1.0, more_help: str = "") -> dict[
 
 
 def has_surface(obj: bpy.types.Object) -> bool:
-    """Whether a hand may hold an object of its type."""
+    """True if a hand may hold an object of its type."""
     return obj.type in ("MESH", "CURVE", "SURFACE", "FONT", "META")
 
 
@@ -584,7 +584,7 @@ class ManientCapture(bpy.types.PropertyGroup):
     digest: StringProperty()
     camera: PointerProperty(type=bpy.types.Object)
     view_camera: PointerProperty(
-        type=bpy.types.Object, description="The camera of the second view (scene/views.py)"
+        type=bpy.types.Object, description="The camera of the second view (scene/build.py)"
     )
     plate: PointerProperty(
         type=bpy.types.Image, description="The picture that it put behind the artist's own camera"

@@ -19,7 +19,8 @@ import blender_manient  # noqa: E402
 from blender_manient.common import preferences  # noqa: E402
 from blender_manient.common.blender_versions import channels, first_slot  # noqa: E402
 from blender_manient.rigs.captured_hand import bone_names  # noqa: E402
-from blender_manient.scene.build import build_take  # noqa: E402
+from blender_manient.scene.build import BuiltTake, build_take  # noqa: E402
+from blender_manient.scene.store import CapturedHand, hand_of  # noqa: E402
 from handfit_core.common.skeleton import FINGER_JOINTS, SIDES, Side  # noqa: E402
 from handfit_core.common.version import __version__  # noqa: E402
 from handfit_core.geometry.camera import Intrinsics  # noqa: E402
@@ -234,9 +235,36 @@ def make_take(picture):
 
 
 @pytest.fixture
-def armature(make_take):
-    """One right hand, in a file of its own."""
-    return build_take(make_take(sides=("right",)).take).hands[0].armature
+def made(make_take) -> Made:
+    """A take of one right hand."""
+    return make_take(sides=("right",))
+
+
+@pytest.fixture
+def built(made) -> BuiltTake:
+    """That hand, in a file of its own."""
+    return build_take(made.take)
+
+
+@pytest.fixture
+def armature(built):
+    """Its armature, active and selected."""
+    return chosen(built.hands[0].armature)
+
+
+@pytest.fixture
+def hand(armature, registered) -> CapturedHand:
+    """That hand with its take, active and selected."""
+    return hand_of(armature)
+
+
+def chosen(obj: bpy.types.Object) -> bpy.types.Object:
+    """Make an object the only selected and the active one."""
+    for other in bpy.context.selected_objects:
+        other.select_set(False)
+    bpy.context.view_layer.objects.active = obj
+    obj.select_set(True)
+    return obj
 
 
 def built_model(model: str, side: Side) -> HandModel:

@@ -8,8 +8,9 @@ import bpy
 import numpy as np
 
 from blender_manient.rigs.captured_hand import bone_names
+from handfit_core.take import Take
 
-from .conftest import evaluated_vertices, joint_heads, world
+from .conftest import UNSEEN, evaluated_vertices, joint_heads, world
 
 
 def read_back(*files: Path, first: int = 1, fps: int = 30) -> None:
@@ -73,3 +74,19 @@ def vertex_error(made) -> float:
                 error = np.array([np.linalg.norm(expected - p, axis=-1).min() for p in cloud[::5]])
             worst = max(worst, error.max())
     return worst
+
+
+def assert_same_take(found: Take, expected: Take) -> None:
+    """The same frames and hands, as nearly as keys and .blend files hold them."""
+    np.testing.assert_array_equal(found.frame_numbers, expected.frame_numbers)
+    assert (found.source, found.intrinsics) == (expected.source, expected.intrinsics)
+    for one, other in zip(found.hands, expected.hands, strict=True):
+        assert one.side == other.side
+        np.testing.assert_array_equal(one.detected, other.detected)
+        np.testing.assert_allclose(one.betas, other.betas, atol=1e-5)
+        np.testing.assert_allclose(one.transl, other.transl, atol=1e-5)
+        np.testing.assert_allclose(one.joints_3d, other.joints_3d, atol=2e-5)
+        np.testing.assert_allclose(one.hand_pose, other.hand_pose, atol=1e-4)
+        np.testing.assert_allclose(one.keypoints_2d, other.keypoints_2d, atol=1e-3)
+        np.testing.assert_allclose(one.reprojection_error, other.reprojection_error, atol=2e-2)
+        assert np.isnan(one.transl[UNSEEN]).all()

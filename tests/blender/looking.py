@@ -11,15 +11,7 @@ from handfit_core.common.skeleton import FINGER_JOINTS
 from handfit_core.geometry.rotations import quat_to_rotmat
 
 from .conftest import action_curves
-
-
-def chosen(obj: bpy.types.Object) -> bpy.types.Object:
-    """Make an object the only selected and the active one."""
-    for other in bpy.context.selected_objects:
-        other.select_set(False)
-    bpy.context.view_layer.objects.active = obj
-    obj.select_set(True)
-    return obj
+from .conftest import chosen as chosen
 
 
 def curves_of(armature: bpy.types.Object) -> list[bpy.types.FCurve]:

@@ -28,10 +28,19 @@ from tests.takes import with_arms
 
 from .conftest import action_curves, evaluated_vertices, shown_bones, world
 from .importing import read_back
+from .looking import chosen
 
 pytestmark = pytest.mark.usefixtures("registered")
 
 SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
+
+
+@pytest.fixture
+def armed(make_take):
+    """A take of a right hand with its arm, what was built of it, and the armature, which is active."""
+    take = with_arms(make_take(sides=("right",)).take)
+    built = build_take(take)
+    return take, built, chosen(built.hands[0].armature)
 
 
 def arm_points(armature, frame=None) -> np.ndarray:
@@ -170,11 +179,9 @@ def test_without_one_the_take_says_why(make_take):
         bpy.ops.manient.add_arms(hand=built.hands[0].armature.name)
 
 
-def test_deleted_in_edit_mode_it_is_gone_until_it_is_added_again(make_take, tmp_path: Path):
+def test_deleted_in_edit_mode_it_is_gone_until_it_is_added_again(armed, tmp_path: Path):
     """Which is how an artist is rid of a bad one; the hand, and what is made of it, do without."""
-    take = with_arms(make_take(sides=("right",)).take)
-    built = build_take(take)
-    armature = bpy.context.view_layer.objects.active = built.hands[0].armature
+    take, built, armature = armed
     hand_keys = read_pose_keys(rig_of(armature))
     bpy.ops.object.mode_set(mode="EDIT")
     for name in ArmBones(armature).bones:
@@ -190,14 +197,12 @@ def test_deleted_in_edit_mode_it_is_gone_until_it_is_added_again(make_take, tmp_
     assert arm_error(built.hands[0], take.hands[0].arm, take.frame_numbers) < 1e-4
 
 
-def test_controls_come_and_go_beside_it(make_take):
-    take = with_arms(make_take(sides=("right",)).take)
-    built = build_take(take)
-    bpy.context.view_layer.objects.active = built.hands[0].armature
+def test_controls_come_and_go_beside_it(armed):
+    _, _, armature = armed
     for operator in (bpy.ops.manient.add_controls, bpy.ops.manient.remove_controls):
         assert operator() == {"FINISHED"}
-        assert is_keyframed(rig_of(built.hands[0].armature, "right"))
-    forearm = built.hands[0].armature.pose.bones[ArmBones(built.hands[0].armature).bones[1]]
+        assert is_keyframed(rig_of(armature, "right"))
+    forearm = armature.pose.bones[ArmBones(armature).bones[1]]
     assert [constraint.type for constraint in forearm.constraints] == ["IK"]
 
 
@@ -209,10 +214,8 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_it_stays_where_it_is(make_take, change):
-    take = with_arms(make_take(sides=("right",)).take)
-    built = build_take(take)
-    bpy.context.view_layer.objects.active = built.hands[0].armature
+def test_it_stays_where_it_is(armed, change):
+    take, built, _ = armed
     assert CHANGES[change]() == {"FINISHED"}
     assert arm_error(built.hands[0], take.hands[0].arm, take.frame_numbers) < 1e-4
 
@@ -232,10 +235,9 @@ def test_the_mirrored_hand_has_the_mirrored_arm(make_take):
         np.testing.assert_allclose(arm_points(other), mirrored, atol=1e-4)
 
 
-def test_what_moves_the_hand_takes_it_along(make_take):
+def test_what_moves_the_hand_takes_it_along(armed):
     """Nearer to the shoulder, so that it can be reached; the shoulder stays."""
-    take = with_arms(make_take(sides=("right",)).take)
-    armature = build_take(take).hands[0].armature
+    _, _, armature = armed
     before = arm_points(armature, 8)
     toward = 0.1 * (before[0] - before[3])
     wrist = armature.pose.bones[bone_names("right")[0]]
@@ -253,11 +255,10 @@ def test_what_moves_the_hand_takes_it_along(make_take):
 
 
 @pytest.mark.parametrize("fmt", [name for name in ("fbx", "glb", "bvh", "usd", "blend") if name in EXPORTERS])
-def test_files_have_the_hand_hang_on_it(make_take, tmp_path: Path, fmt: str):
+def test_files_have_the_hand_hang_on_it(armed, tmp_path: Path, fmt: str):
     if why := EXPORTERS[fmt].why_not():
         pytest.skip(why)
-    take = with_arms(make_take(sides=("right",)).take)
-    built = build_take(take)
+    take, built, _ = armed
     whole = (built.collection, built.camera) if fmt == "blend" else None
     frames = take.frame_numbers[take.hands[0].present]
     wanted = {int(frame): arm_points(built.hands[0].armature, frame) for frame in frames}

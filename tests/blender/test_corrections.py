@@ -15,7 +15,6 @@ from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections, reshape
 from blender_manient.scene.actions import push_down
 from blender_manient.scene.apply import apply_track
-from blender_manient.scene.build import build_take
 from blender_manient.scene.editable import why_not_editable, why_not_keyable
 from blender_manient.scene.keys import PoseKeys, displayed_pose, pose_at, read_pose_keys, write_pose_keys
 from blender_manient.scene.store import captured_hands, hand_of
@@ -29,17 +28,6 @@ from .looking import chosen, curves_of
 pytestmark = pytest.mark.usefixtures("registered")
 
 SEEN = np.delete(FRAMES, UNSEEN)
-
-
-@pytest.fixture
-def made(make_take):
-    return make_take(sides=("right",))
-
-
-@pytest.fixture
-def armature(made):
-    """One right hand, active and selected."""
-    return chosen(build_take(made.take).hands[0].armature)
 
 
 def all_keys(armature) -> PoseKeys:

@@ -30,7 +30,7 @@ from tests.drawn import drawn
 
 from .conftest import UNSEEN, blocks, built_model, evaluated_vertices, joint_heads, world, write_png
 from .fbx_file import models_of, read_fbx
-from .importing import imported, joint_error, read_back, vertex_error
+from .importing import assert_same_take, imported, joint_error, read_back, vertex_error
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -250,20 +250,6 @@ def test_what_blender_left_out_is_not_called_written(make_take, tmp_path, monkey
     with pytest.raises(RuntimeError, match=f"without {words}, so what was there is kept"):
         write(there, file_format=fmt)
     assert there.read_bytes() == b"what was there"
-
-
-def assert_same_take(found: Take, expected: Take) -> None:
-    np.testing.assert_array_equal(found.frame_numbers, expected.frame_numbers)
-    for one, other in zip(found.hands, expected.hands, strict=True):
-        assert one.side == other.side
-        np.testing.assert_array_equal(one.detected, other.detected)
-        np.testing.assert_allclose(one.betas, other.betas, atol=1e-5)
-        np.testing.assert_allclose(one.transl, other.transl, atol=1e-5)
-        np.testing.assert_allclose(one.joints_3d, other.joints_3d, atol=2e-5)
-        np.testing.assert_allclose(one.hand_pose, other.hand_pose, atol=1e-4)
-        np.testing.assert_allclose(one.keypoints_2d, other.keypoints_2d, atol=1e-3)
-        np.testing.assert_allclose(one.reprojection_error, other.reprojection_error, atol=2e-2)
-        assert np.isnan(one.transl[UNSEEN]).all()
 
 
 @pytest.mark.parametrize("units", [None, 1.0, 0.01])

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import shutil
+import time
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 
+from blender_manient.common import preferences
 from blender_manient.operators.capture import new_request
 from blender_manient.operators.find_hands import MANIENT_OT_find_hands, chosen_source
 from blender_manient.operators.modes.choice import FOUND_AGAIN, Choice, FoundHand
@@ -25,6 +27,8 @@ from handfit_core.geometry.picture_map import mapped
 from tests.capturing import needs_capture
 from tests.drawn import drawn
 from tests.waiting import wait_for
+
+from .conftest import READY
 
 SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
 SHAPE = np.random.default_rng(3).uniform(-20.0, 20.0, (21, 2))
@@ -106,6 +110,21 @@ def test_a_box_of_two_pixels_is_not_searched():
     mode.picture_view, mode.choice, mode.message = PictureView((640, 480)), Choice(), ""
     mode.search_box(np.array([[10.0, 10.0], [12.0, 12.0]]))
     assert mode.message.startswith("The box is too small")
+
+
+def test_a_worker_that_dies_while_hands_are_looked_for_is_a_sentence(settings, peer):
+    settings.source = str(SAMPLE / "hand.0001.jpg")
+    preferences.get().python = peer(f"{READY}sys.stdin.readline(); os._exit(3)")
+    mode = FindMode.__new__(FindMode)  # without a window to draw in
+    mode.source, mode.choice, mode.message = chosen_source(bpy.context), Choice(), ""
+    mode._asked, mode._showing, mode._boxes = {}, None, []
+    mode._finding = mode._ask()
+    end = time.monotonic() + 60.0
+    while mode.busy and time.monotonic() < end:
+        mode.tick(bpy.context)
+        time.sleep(0.005)
+    assert mode.message.startswith("The capturing process ended unexpectedly")
+    assert not mode.busy
 
 
 def test_the_hand_that_is_pointed_at(choice):

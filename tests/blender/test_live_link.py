@@ -10,7 +10,6 @@ import pytest
 
 from blender_manient.panels.character import MANIENT_PT_character
 from blender_manient.rigs.captured_hand import bone_names
-from blender_manient.scene.build import build_take
 from blender_manient.scene.hand_motion import MARK, written_keys
 from blender_manient.scene.keys import PoseKeys, pose_at, remove_pose_keys, write_pose_keys
 from blender_manient.scene.store import hand_of
@@ -24,11 +23,6 @@ from .looking import directions, directions_apart
 pytestmark = pytest.mark.usefixtures("registered")
 
 NAMES = [joint_name(j, "right") for j in range(16)]
-
-
-@pytest.fixture
-def hand(make_take):
-    return hand_of(build_take(make_take(sides=("right",)).take).hands[0].armature)
 
 
 @pytest.fixture

@@ -29,12 +29,6 @@ from .looking import apart, bones_at, curves_of, directions, directions_apart, k
 pytestmark = pytest.mark.usefixtures("registered")
 
 
-@pytest.fixture
-def hand(make_take):
-    """A captured right hand."""
-    return captured(make_take)
-
-
 def captured(make_take, side="right", **fields):
     return hand_of(build_take(make_take(sides=(side,), **fields).take).hands[0].armature)
 

@@ -31,22 +31,6 @@ pytestmark = pytest.mark.usefixtures("registered")
 BETAS = np.array([1.5, -2.0, 1.0, 0.5, -1.0, 2.0, -0.5, 1.0, -1.5, 0.7])
 
 
-@pytest.fixture
-def made(make_take):
-    return make_take(sides=("right",))
-
-
-@pytest.fixture
-def built(made):
-    return build_take(made.take)
-
-
-@pytest.fixture
-def armature(built):
-    bpy.context.view_layer.objects.active = built.hands[0].armature
-    return built.hands[0].armature
-
-
 def shape_error(made, hands, betas, rows=None) -> float:
     """Metres from the skin to the model with that shape, the same pose, and its wrist where it was."""
     worst = 0.0

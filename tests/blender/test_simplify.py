@@ -55,11 +55,6 @@ def made(make_take):
     return make_take(sides=("right",), frame_numbers=FRAMES)
 
 
-@pytest.fixture
-def armature(made):
-    return chosen(build_take(made.take).hands[0].armature)
-
-
 def simplify(bounds=Bounds()) -> list:  # noqa: B008
     found = [run_to_completion(thinning(hand, bounds)) for hand in hands_to_simplify(bpy.context)]
     write(found[0].hand.rig.armature, found)

@@ -23,6 +23,7 @@ from handfit_core.take import Take
 from tests.takes import seen_as
 
 from .conftest import FRAMES, UNSEEN
+from .importing import assert_same_take
 from .looking import chosen
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -34,27 +35,6 @@ def saved_and_opened(folder) -> None:
     bpy.ops.wm.save_as_mainfile(filepath=path)
     store._cache.clear()
     bpy.ops.wm.open_mainfile(filepath=path)
-
-
-def assert_same_take(found, take) -> None:
-    np.testing.assert_array_equal(found.frame_numbers, take.frame_numbers)
-    assert found.source == take.source
-    assert found.intrinsics == take.intrinsics
-    for a, b in zip(found.hands, take.hands, strict=True):
-        assert a.side == b.side
-        np.testing.assert_allclose(a.hand_pose, b.hand_pose, atol=1e-6)
-        np.testing.assert_allclose(a.keypoints_2d, b.keypoints_2d, atol=1e-3)
-        np.testing.assert_array_equal(a.detected, b.detected)
-
-
-@pytest.fixture
-def built(make_take):
-    return build_take(make_take(sides=("right",)).take)
-
-
-@pytest.fixture
-def armature(built):
-    return built.hands[0].armature
 
 
 def test_the_take_survives_saving(make_take, tmp_path):

@@ -64,7 +64,8 @@ def character(rng, sides=SIDES, **fields):
 
 
 def exported(armature, take, folder, **fields):
-    stage = replace(Stage.of_take(take), fps=30, fps_base=1.0)
+    stage = Stage.of_take(take)
+    stage = replace(stage, render={**stage.render, "fps": 30, "fps_base": 1.0})
     (path,) = export_hands([replace(CharacterObjects.of(armature), **fields)], stage, folder, "x", "vrma")
     return Played(path.read_bytes())
 
