@@ -64,6 +64,8 @@ class Progress:
         self.results[task.key] = result
         self._exported.add(task.key)
         status, error = result.status, result.error
+        if self._bar is not None:
+            self._bar.clear()
         if self._style == "json":
             said = {"task": task.key, "name": task.name, "status": status, "error": error}
             say(json.dumps({"event": "exported", **said}), sys.stdout)

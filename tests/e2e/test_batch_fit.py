@@ -128,39 +128,23 @@ def test_the_same_line_again_makes_what_is_missing(wheel, take_file, tmp_path):
 
 @pytest.mark.slow
 @needs_signals
-@pytest.mark.parametrize(
-    ("fault", "status", "error"),
-    [
-        ("if not Path('begun').exists(): Path('begun').touch(); os.abort()", "ok", ""),
-        ("os.abort()", "failed", "Blender crashed twice while it made files of it; try again with --debug"),
-        ("while True: pass", "failed", "to make files of it took longer than 10 seconds (--timeout)"),
-    ],
-)
-def test_a_take_that_ends_blender_fails_alone(wheel, take_file, tmp_path, fault, status, error):
+def test_a_blender_that_dies_is_started_again(wheel, take_file, tmp_path):
+    """tests/core/tasks/test_exporting.py has what else can happen."""
     script = tmp_path / "batch_fit.py"
     script.write_text(
         f"import os, sys\nfrom pathlib import Path\nsys.path.insert(0, {str(ROOT)!r})\n"
         "from scripts import batch_fit\n"
-        "if 'export' in sys.argv:\n"
+        "if 'export' in sys.argv and not Path('begun').exists():\n"
         "    from blender_manient.batch import exports\n"
-        "    make = exports._make\n"
-        "    def fail(*options, **take):\n"
-        "        if take['name'] == 'bad':\n"
-        f"            {fault}\n"
-        "        make(*options, **take)\n"
-        "    exports._make = fail\n"
+        "    exports._make = lambda *_, **__: (Path('begun').touch(), os.abort())\n"
         "batch_fit.__file__ = __file__\n"
         "batch_fit._leave(batch_fit.main())\n"
     )
-    takes = [take_file(name) for name in ("first", "bad", "last")]
-    rest = ["--format", "bvh", "--jobs", "1", "--no-sheet", *(["--timeout", "10"] if "10" in error else [])]
-    done = wheel(*takes, "-o", "out", *rest, script=script)
-    entries = report(tmp_path / "out")
-    assert (done.returncode, [e["status"] for e in entries]) == (bool(error), ["ok", status, "ok"]), (
-        done.stdout
-    )
-    assert entries[1]["error"] == error
-    assert (f"failed: {takes[1]}: {error}" in done.stdout) == bool(error)
+    takes = [take_file(name) for name in ("first", "last")]
+    done = wheel(*takes, "-o", "out", "--format", "bvh", "--jobs", "1", "--no-sheet", script=script)
+    assert done.returncode == 0, done.stdout
+    assert (tmp_path / "begun").exists()
+    assert [entry["status"] for entry in report(tmp_path / "out")] == ["ok", "ok"]
 
 
 def test_bad_inputs_do_not_stop_the_good_ones(batch, take_file, tmp_path, monkeypatch):
