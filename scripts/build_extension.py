@@ -4,7 +4,6 @@
     nox -s build                                         # for this machine's platform
     nox -s build -- --platform linux-x64,windows-x64,macos-arm64
     nox -s build -- --torch cpu                          # with torch, for the paper's experiments
-    python scripts/build_extension.py --blender PATH     # without a bpy wheel in this Python
 
 The zip has the add-on, and as wheels handfit_core, with the open hand and the landmark model in it, and all
 that it imports, for each Python. The wheels are those of the locks (scripts/extension/locks/), unmodified;
@@ -44,16 +43,15 @@ WINDOWS_LONGEST = 260 - len(
 """Characters that Windows leaves to a path inside a wheel, of a user with as long a name as it allows"""
 
 
-def build(output: Path, platform: str, torch: bool = False, blender: str | None = None) -> Path:
+def build(output: Path, platform: str, torch: bool = False) -> Path:
     """Build a platform's zip into the folder `output`, let Blender's tool validate it, and say what is in it.
 
-    `blender` is an executable whose extension tool is used (None: that of this Python's bpy wheel). Raises
-    BuildError for an unknown platform, BuildError or LandmarkModelError where a part is not to be had or is
-    not the locked one, OutputError and OSError where something cannot be written.
+    Raises BuildError for an unknown platform, BuildError or LandmarkModelError where a part is not to be had
+    or is not the locked one, OutputError and OSError where something cannot be written.
     """
     if platform not in PLATFORMS:
         raise BuildError(f"{platform}: there is no zip for this platform; choose from {', '.join(PLATFORMS)}")
-    tool = extension_tool(blender)
+    tool = extension_tool()
     with tempfile.TemporaryDirectory() as temporary:
         wheels = [*locked_wheels(platform, torch), core_wheel(Path(temporary))]
         wheels.sort(key=lambda wheel: wheel.path.name)
@@ -110,11 +108,10 @@ def main() -> int:
         "--torch", choices=("none", "cpu"), default="none", help="for the paper's experiments"
     )
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "extension", metavar="DIR")
-    parser.add_argument("--blender", metavar="PATH", help="use this Blender's extension tool")
     options = parser.parse_args()
     try:
         for platform in options.platform.split(","):
-            build(options.output, platform.strip(), options.torch == "cpu", options.blender)
+            build(options.output, platform.strip(), options.torch == "cpu")
     except HandfitError as error:
         sys.exit(f"error: {error}")
     except OSError as error:

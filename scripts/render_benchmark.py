@@ -18,10 +18,9 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
@@ -33,7 +32,7 @@ from handfit_core.evaluate.datasets.plain import save_index
 from scripts.benchmark.clips import clip_shot
 from scripts.benchmark.kinematics import model_of
 from scripts.benchmark.pairs import FOLDER, TRUTH, pair_shots
-from scripts.benchmark.shots import FPS, NAME, NOTES, Shot, entries
+from scripts.benchmark.shots import FPS, NAME, NOTES, entries
 from scripts.benchmark.stills import still_shot
 
 RECIPE = 1
@@ -42,39 +41,28 @@ SETTINGS = "render_settings.json"
 """File in the output folder with the settings of its pictures"""
 
 
-@dataclass(frozen=True)
-class Plan:
-    """Numbers, sizes and seed of the pictures to render."""
-
-    stills: int
-    clips: int
-    pairs: int
-    frames: int
-    seed: int
-    size: int
-
-    def __len__(self) -> int:
-        return self.stills + (self.clips + 2 * self.pairs) * self.frames
-
-    def shots(self) -> Iterator[Shot]:
-        """Stills and clips, one after another."""
-        for number in range(self.stills):
-            yield still_shot(self.seed, number, self.size)
-        for number in range(self.clips):
-            yield clip_shot(self.seed, number, self.frames, self.size)
-
-    def paired(self) -> list[tuple[Shot, Shot, dict[str, Any]]]:
-        """Both cameras' clips of each pair, and the truth."""
-        return [pair_shots(self.seed, number, self.frames, self.size) for number in range(self.pairs)]
+OPTIONS: Final = {
+    "stills": (500, 0, "single pictures"),
+    "clips": (10, 0, "moving hands"),
+    "pairs": (0, 0, "moving hands before two cameras"),
+    "frames": (100, 1, "pictures a clip, 25 a second"),
+    "seed": (0, 0, "another seed, other pictures"),
+    "size": (512, 32, "pixels a side"),
+    "samples": (3, 1, "Cycles samples a pixel, before the picture is denoised"),
+}
+"""Name of an option -> its default, its least value, and its help"""
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the script; returns the exit code."""
     args = _parser().parse_args(_own_arguments() if argv is None else argv)
-    plan = Plan(args.stills, args.clips, args.pairs, args.frames, args.seed, args.size)
     try:
-        _check(plan, args.samples)
-        return _render_all(args.output, plan, args.samples)
+        for name, (_, least, _) in OPTIONS.items():
+            if (value := getattr(args, name)) < least:
+                raise OptionError(f"--{name} must be {least} or more, not {value}")
+        if _total(args) == 0:
+            raise OptionError("there is nothing to render; ask for --stills, --clips or --pairs")
+        return _render_all(args)
     except HandfitError as error:
         print(f"render_benchmark: {error}", file=sys.stderr)
         return 2
@@ -83,13 +71,8 @@ def main(argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="render_benchmark.py", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("output", type=Path, help="folder for the pictures and index.json")
-    parser.add_argument("--stills", type=int, default=500, help="single pictures (default 500)")
-    parser.add_argument("--clips", type=int, default=10, help="moving hands (default 10)")
-    parser.add_argument("--pairs", type=int, default=0, help="moving hands before two cameras (default 0)")
-    parser.add_argument("--frames", type=int, default=100, help="pictures a clip, 25 a second (default 100)")
-    parser.add_argument("--seed", type=int, default=0, help="another seed, other pictures (default 0)")
-    parser.add_argument("--size", type=int, default=512, help="pixels a side (default 512)")
-    parser.add_argument("--samples", type=int, default=3, help="Cycles samples a pixel (default 3, denoised)")
+    for name, (default, _, text) in OPTIONS.items():
+        parser.add_argument(f"--{name}", type=int, default=default, help=f"{text} (default {default})")
     return parser
 
 
@@ -99,26 +82,17 @@ def _own_arguments() -> list[str]:
     return arguments[arguments.index("--") + 1 :] if "--" in arguments else arguments
 
 
-def _check(plan: Plan, samples: int) -> None:
-    least = {"stills": 0, "clips": 0, "pairs": 0, "frames": 1, "seed": 0, "size": 32}
-    for name, value in {**vars(plan), "samples": samples}.items():
-        if value < least.get(name, 1):
-            raise OptionError(f"--{name} must be {least.get(name, 1)} or more, not {value}")
-    if len(plan) == 0:
-        raise OptionError("there is nothing to render; ask for --stills, --clips or --pairs")
+def _total(args: argparse.Namespace) -> int:
+    """Number of pictures."""
+    return args.stills + (args.clips + 2 * args.pairs) * args.frames
 
 
-def _agree_on_settings(output: Path, plan: Plan, samples: int) -> None:
+def _agree_on_settings(args: argparse.Namespace) -> None:
     """Refuse to mix pictures of two recipes in one folder."""
+    output = args.output
     # How many stills and clips there are changes none of them.
-    wanted = {
-        "recipe": RECIPE,
-        "seed": plan.seed,
-        "size": plan.size,
-        "samples": samples,
-        "frames": plan.frames,
-        "hands": {side: model_of(side).digest for side in SIDES},
-    }
+    wanted = {name: getattr(args, name) for name in ("seed", "size", "samples", "frames")}
+    wanted |= {"recipe": RECIPE, "hands": {side: model_of(side).digest for side in SIDES}}
     path = output / SETTINGS
     there = any(output.glob("stills/*.jpg")) or any(output.glob("*/*/*.jpg"))
     try:
@@ -133,7 +107,7 @@ def _agree_on_settings(output: Path, plan: Plan, samples: int) -> None:
         beside.write_text(json.dumps(wanted), encoding="utf-8")
 
 
-def _render_all(output: Path, plan: Plan, samples: int) -> int:
+def _render_all(args: argparse.Namespace) -> int:
     # Blender's part loads here, so that --help and wrong options answer at once and without it.
     try:
         from scripts.benchmark.drawing import draw
@@ -145,16 +119,19 @@ def _render_all(output: Path, plan: Plan, samples: int) -> int:
             "this Python has no Blender in it; install a bpy wheel, or run it as "
             "blender -b -P scripts/render_benchmark.py -- OUT"
         ) from error
-    _agree_on_settings(output, plan, samples)
+    _agree_on_settings(args)
 
+    output, total = args.output, _total(args)
     start, drawn, done = time.monotonic(), 0, 0
     pictures: list[dict[str, Any]] = []
     with _stop_wanted() as stop:
-        pairs = plan.paired()
+        stills = (still_shot(args.seed, number, args.size) for number in range(args.stills))
+        clips = (clip_shot(args.seed, number, args.frames, args.size) for number in range(args.clips))
+        pairs = [pair_shots(args.seed, number, args.frames, args.size) for number in range(args.pairs)]
         if pairs:
             with written_whole(output / FOLDER / TRUTH) as beside:
                 beside.write_text(json.dumps([truth for _, _, truth in pairs]), encoding="utf-8")
-        for shot in chain(plan.shots(), *(pair[:2] for pair in pairs)):
+        for shot in chain(stills, clips, *(pair[:2] for pair in pairs)):
             if stop.is_set():
                 break
             built = False
@@ -167,14 +144,14 @@ def _render_all(output: Path, plan: Plan, samples: int) -> int:
                 if stop.is_set():
                     continue
                 if not built:
-                    build_scene(shot, samples)
+                    build_scene(shot, args.samples)
                     built = True
                 draw(shot, picture, path)
                 pictures.append(entry)
                 drawn += 1
                 each = (time.monotonic() - start) / drawn
-                left = each * (len(plan) - done) / 60
-                print(f"{file} ({done}/{len(plan)}), {each:.1f} s each, {left:.0f} min left", flush=True)
+                left = each * (total - done) / 60
+                print(f"{file} ({done}/{total}), {each:.1f} s each, {left:.0f} min left", flush=True)
     if stop.is_set():
         print("stopped; the same command goes on from here", flush=True)
     # Stopped before it drew anything, this run has not come to all pictures of the runs before.
@@ -182,7 +159,7 @@ def _render_all(output: Path, plan: Plan, samples: int) -> int:
     labelled = [entry for entry in pictures if not entry["file"].startswith(FOLDER)]
     if labelled and (drawn or not stop.is_set()):
         save_index(output, labelled, name=NAME, notes=NOTES, fps=FPS)
-    print(f"{drawn} pictures rendered, {len(pictures)} of {len(plan)} are there", flush=True)
+    print(f"{drawn} pictures rendered, {len(pictures)} of {total} are there", flush=True)
     return 130 if stop.is_set() else 0
 
 

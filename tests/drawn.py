@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -110,7 +111,8 @@ class _Shown:
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(self._cls, name)
-        return functools.partial(found, self) if callable(found) else found
+        is_method = inspect.isfunction(inspect.getattr_static(self._cls, name))
+        return functools.partial(found, self) if is_method else found
 
 
 def drawn(cls: Any, **properties: Any) -> Page:

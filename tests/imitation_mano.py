@@ -7,11 +7,8 @@ protocol 2 from Python 2, chumpy objects, and a sparse matrix under SciPy's old 
 
 from __future__ import annotations
 
-import contextlib
 import pickle
-import sys
-import types
-from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -148,19 +145,29 @@ def write_mano_pickle(path: Path, arrays: dict[str, Any], *, select: bool = Fals
 
     `select` stores shapedirs as chumpy.reordering.Select over a larger array, as SMPL-family files do.
     """
-    content: dict[str, Any] = dict(arrays)
-    with _old_modules() as (Ch, Select, csc_matrix):
-        if select:
-            whole = np.concatenate([arrays["shapedirs"], np.ones((VERTICES, 3, 5))], axis=2)
-            chosen = np.arange(whole.size).reshape(whole.shape)[:, :, :10].reshape(-1)
-            content["shapedirs"] = Select(a=Ch(x=whole), idxs=chosen, preferred_shape=(VERTICES, 3, 10))
-        else:
-            content["shapedirs"] = Ch(x=arrays["shapedirs"], _dirty_vars={"x"}, _itr=None)
-        content["J_regressor"] = csc_matrix(**csc_fields(arrays["J_regressor"]))
-        content["bs_style"], content["bs_type"] = "lbs", "lrotmin"
-        with path.open("wb") as stream:
-            _Python2Pickler(stream, protocol=2).dump(content)
+    content: dict[str, Any] = arrays | {"bs_style": "lbs", "bs_type": "lrotmin"}
+    content["J_regressor"] = Instance("scipy.sparse.csc", "csc_matrix", csc_fields(arrays["J_regressor"]))
+    if select:
+        whole = np.concatenate([arrays["shapedirs"], np.ones((VERTICES, 3, 5))], axis=2)
+        chosen = np.arange(whole.size).reshape(whole.shape)[:, :, :10].reshape(-1)
+        fields = {"a": Instance("chumpy.ch", "Ch", {"x": whole}), "idxs": chosen}
+        fields["preferred_shape"] = (VERTICES, 3, 10)
+        content["shapedirs"] = Instance("chumpy.reordering", "Select", fields)
+    else:
+        fields = {"x": arrays["shapedirs"], "_dirty_vars": {"x"}, "_itr": None}
+        content["shapedirs"] = Instance("chumpy.ch", "Ch", fields)
+    with path.open("wb") as stream:
+        _Python2Pickler(stream, protocol=2).dump(content)
     return path
+
+
+@dataclass(frozen=True, eq=False)
+class Instance:
+    """An object of a class that is not installed, by its `__dict__`."""
+
+    module: str
+    name: str
+    fields: dict[str, Any]
 
 
 def csc_fields(dense: np.ndarray) -> dict[str, Any]:
@@ -185,7 +192,14 @@ class _Python2Pickler(pickle._Pickler):
         self.write(pickle.BINSTRING + len(raw).to_bytes(4, "little") + raw)
         self.memoize(obj)
 
+    def _save_instance(self, obj: Instance) -> None:
+        self.write(f"c{obj.module}\n{obj.name}\n".encode() + pickle.EMPTY_TUPLE + pickle.NEWOBJ)
+        self.memoize(obj)
+        self.save(obj.fields)
+        self.write(pickle.BUILD)
+
     dispatch[bytes] = dispatch[str] = _save_string
+    dispatch[Instance] = _save_instance
 
     def save_global(self, obj: Any, name: str | None = None) -> None:
         module = {"numpy._core.multiarray": "numpy.core.multiarray", "builtins": "__builtin__"}.get(
@@ -193,37 +207,6 @@ class _Python2Pickler(pickle._Pickler):
         )
         self.write(f"c{module}\n{name or obj.__qualname__}\n".encode("ascii"))
         self.memoize(obj)
-
-
-@contextlib.contextmanager
-def _old_modules() -> Iterator[tuple[type, type, type]]:
-    """Stand-ins for chumpy and SciPy's old module, there while pickling, so that their names get in."""
-
-    def klass(module: str, name: str) -> type:
-        def init(self: Any, **fields: Any) -> None:
-            self.__dict__.update(fields)
-
-        made = type(name, (), {"__module__": module, "__init__": init})
-        stand_in = modules.setdefault(module, types.ModuleType(module))
-        setattr(stand_in, name, made)
-        return made
-
-    modules: dict[str, types.ModuleType] = {"chumpy": types.ModuleType("chumpy")}
-    classes = (
-        klass("chumpy.ch", "Ch"),
-        klass("chumpy.reordering", "Select"),
-        klass("scipy.sparse.csc", "csc_matrix"),
-    )
-    before = {name: sys.modules.get(name) for name in modules}
-    sys.modules.update(modules)
-    try:
-        yield classes
-    finally:
-        for name, module in before.items():
-            if module is None:
-                del sys.modules[name]
-            else:
-                sys.modules[name] = module
 
 
 def _tube(

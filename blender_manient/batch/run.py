@@ -13,9 +13,9 @@ import subprocess
 import sys
 from dataclasses import dataclass, replace
 
-from handfit_core.capturing.options import OPTIONS, CaptureOptions
+from handfit_core.capturing.options import CaptureOptions, options_of
 from handfit_core.common.errors import HandfitError, OptionError
-from handfit_core.tasks.arguments import EXPORTS, WITH_PARENT
+from handfit_core.tasks.arguments import EXPORTS, WITH_PARENT, BatchOptions
 from handfit_core.tasks.inputs import expand
 from handfit_core.worker import interpreter
 
@@ -23,12 +23,6 @@ from ..session import shared_worker
 from .commands import EXIT_INTERRUPTED, EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE, EXPORT
 from .console import blender_silenced, print_error, show_all_names, stopped_by_signals
 from .exports import Exports, export, start_empty
-
-_OF_CORE = (
-    *("output", "jobs", "scheduler", "timeout", "progress"),
-    *("again", "retry_failed", "overwrite", "flat", "no_sheet", "dry_run", "debug"),
-)
-"""Arguments of the core's command, beside those of a capture"""
 
 
 @dataclass(frozen=True)
@@ -75,7 +69,8 @@ def _run(args: argparse.Namespace, host: Host) -> int:
             start_empty(keep_addons=host.keep_addons)
             used = exports.character.check()
         exports = replace(exports, given={**exports.given, "bones": exports.given["bones"] or used})
-    CaptureOptions.of_arguments(args)  # what is wrong with them is told by no other Python
+    for options in (CaptureOptions, BatchOptions):  # what is wrong with them is told before a process starts
+        options.of_arguments(args)
     code = _do(args, host, exports, interpreter.find_python(args.python or host.python))
     if code == interpreter.EXIT_UNFIT:
         raise OptionError(f"choose another Python {host.python_is_chosen}: this one cannot capture")
@@ -89,8 +84,9 @@ def _do(args: argparse.Namespace, host: Host, exports: Exports, python: str) -> 
     """Have the core make takes, and Blenders files of them. Returns its exit code. Raises OptionError where
     it cannot be started."""
     is_own = interpreter.is_current_interpreter(python)
-    given = {option.flag: getattr(args, name) for name, option in OPTIONS.items()}
-    given |= {f"--{name.replace('_', '-')}": getattr(args, name) for name in _OF_CORE}
+    declared = [*options_of(CaptureOptions).values(), *options_of(BatchOptions).values()]
+    given = {option.flag: getattr(args, option.dest) for option in declared}
+    given |= {"--output": args.output, "--progress": args.progress, "--debug": args.debug}
     given["--processes"] = args.processes or host.threads
     given[EXPORTS] = json.dumps(
         {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import blf
 import bpy
@@ -19,18 +19,20 @@ _LABEL_MARGIN = 100
 
 
 class Section:
-    """A panel of the tab in which hands are captured."""
+    """A panel of the tab in which hands are captured, closed at first."""
 
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = CAPTURE
+    bl_options: ClassVar = {"DEFAULT_CLOSED"}
 
 
 class EditSection(Section):
-    """A panel of the tab in which captured hands are edited."""
+    """A panel of the tab in which captured hands are edited, shown where there is something to work on."""
 
     bl_category = EDIT
-    works_on: Callable[[bpy.types.Context], Any] = staticmethod(lambda context: context.scene)
+    works_on: Callable[[bpy.types.Context], Any]
+    """Finds what it works on; None where there is nothing"""
 
     @classmethod
     def poll(cls, context):
@@ -60,6 +62,13 @@ def sentence(
     column.scale_y = 0.8
     for number, line in enumerate(wrapped(text, _room(context, width))):
         column.label(text=line, icon=icon if number == 0 else "BLANK1", translate=False)
+
+
+def row_of(layout: Any, enabled: bool = True, scale: float = 1.0) -> Any:
+    """A row of buttons side by side, grey where it is not `enabled`, `scale` times as high as usual."""
+    row = layout.row(align=True)
+    row.enabled, row.scale_y = enabled, scale
+    return row
 
 
 def props(layout: bpy.types.UILayout, data: Any, *names: str) -> None:

@@ -20,7 +20,7 @@ from ..scene.build import add_last_hand
 from ..scene.store import active_hand, captures_of, kept_take, rows_at
 from ..session import jobs, source_info
 from ..session.properties import SIDE_ITEMS
-from .base import ModalOperator, select_alone, show_frame_again
+from .base import ModeOperator, select_alone, show_frame_again
 from .capture import new_request, why_no_capture
 from .modes import drawing, view
 from .modes.view import free_corner
@@ -110,15 +110,7 @@ class _Mode(view.Overlay):
         )
 
 
-_mode: _Mode | None = None
-
-
-def running() -> bool:
-    """Whether a hand is being laid into the picture."""
-    return _mode is not None
-
-
-class MANIENT_OT_add_hand(ModalOperator, bpy.types.Operator):
+class MANIENT_OT_add_hand(ModeOperator, bpy.types.Operator):
     """Lay a relaxed hand into the picture where none was found: drag from its wrist to the knuckle of the
     middle finger. Then drag three to six of its points, fingertips first."""
 
@@ -139,7 +131,7 @@ class MANIENT_OT_add_hand(ModalOperator, bpy.types.Operator):
 
     @classmethod
     def poll_reason(cls, context):
-        if _mode is not None:
+        if cls.current is not None:
             return "A hand is being added already"
         if context.mode not in ("OBJECT", "POSE"):
             return "Go to Object or Pose Mode first"
@@ -147,7 +139,6 @@ class MANIENT_OT_add_hand(ModalOperator, bpy.types.Operator):
 
     def begin(self, context):
         """Begin in the viewport under the mouse, or the largest one; the picture is shown first."""
-        global _mode
         viewport = view.first_viewport(context)
         if viewport is None:
             raise OptionError("Hands are added in a 3D viewport: open one in this window")
@@ -157,7 +148,7 @@ class MANIENT_OT_add_hand(ModalOperator, bpy.types.Operator):
         if capture is None:
             jobs.submit(new_request(context, only_frame=False, bare=True))
             return bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
-        _mode = _Mode(context, viewport, capture)
+        type(self).current = _Mode(context, viewport, capture)
         self.show_status(context, _KEYS)
         return None
 
@@ -176,28 +167,29 @@ class MANIENT_OT_add_hand(ModalOperator, bpy.types.Operator):
         bpy.ops.ed.undo_push(message="Add Hand")
 
     def follow(self, context, event):
-        viewport = _mode.viewport() if _mode is not None else None
-        if _mode is None or viewport is None or jobs.busy() or bpy.data.objects.get(_mode.camera) is None:
+        laying = self.current
+        viewport = laying.viewport() if laying is not None else None
+        if laying is None or viewport is None or jobs.busy() or bpy.data.objects.get(laying.camera) is None:
             return self.end(context)
         mouse = viewport.mouse(event)
         inside, settings = viewport.contains(event.mouse_x, event.mouse_y), context.scene.manient
         if event.type in ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE"):
-            _mode.follow(viewport, mouse)
+            laying.follow(viewport, mouse)
         elif event.type == "LEFTMOUSE" and event.value == "PRESS" and inside:
-            _mode.pressed, _mode.message = mouse, ""
-            _mode.follow(viewport, mouse)
-        elif event.type == "LEFTMOUSE" and event.value == "RELEASE" and _mode.pressed is not None:
-            _mode.follow(viewport, mouse)
+            laying.pressed, laying.message = mouse, ""
+            laying.follow(viewport, mouse)
+        elif event.type == "LEFTMOUSE" and event.value == "RELEASE" and laying.pressed is not None:
+            laying.follow(viewport, mouse)
             return self._add(context)
         elif event.value == "PRESS" and event.type in ("ESC", "RIGHTMOUSE"):
-            if _mode.pressed is None:
+            if laying.pressed is None:
                 return self.end(context)
-            _mode.pressed = None
+            laying.pressed = None
         elif event.value == "PRESS" and event.type == "S" and inside and not (event.ctrl or event.alt):
             settings.added_side = "left" if settings.added_side == "right" else "right"
         elif event.value == "PRESS" and event.type == "P" and inside and not (event.ctrl or event.alt):
-            _mode.seen = "palm" if _mode.seen == "back" else "back"
-        elif (factor := view.zoom_of(event)) is not None and inside and _mode.view.shows(viewport):
+            laying.seen = "palm" if laying.seen == "back" else "back"
+        elif (factor := view.zoom_of(event)) is not None and inside and laying.view.shows(viewport):
             viewport.enlarge(factor, mouse)
         else:
             return {"PASS_THROUGH"}
@@ -205,22 +197,19 @@ class MANIENT_OT_add_hand(ModalOperator, bpy.types.Operator):
         return {"PASS_THROUGH"} if event.type.endswith("MOUSEMOVE") else {"RUNNING_MODAL"}
 
     def _add(self, context):
-        assert _mode is not None
-        capture = bpy.data.collections.get(_mode.capture)
-        if capture is None or _mode.ends is None:
+        laying = self.current
+        capture = bpy.data.collections.get(laying.capture)
+        if capture is None or laying.ends is None:
             return self.end(context)
         try:
-            add_hand(context, capture, context.scene.manient.added_side, _mode.ends, _mode.seen)
+            add_hand(context, capture, context.scene.manient.added_side, laying.ends, laying.seen)
         except HandfitError as error:
-            _mode.pressed, _mode.message = None, str(error)
+            laying.pressed, laying.message = None, str(error)
             return {"RUNNING_MODAL"}
         self.end(context)
         bpy.ops.ed.undo_push(message="Add Hand")
         bpy.ops.manient.edit_keypoints("INVOKE_DEFAULT")
         return {"FINISHED"}
-
-    def ended(self, context):
-        unregister()
 
 
 def target_capture(context: bpy.types.Context) -> bpy.types.Collection | None:
@@ -255,12 +244,5 @@ def add_hand(
     return armature
 
 
-def unregister(*_args) -> None:
-    """End the mode; its operator finds out with its next event."""
-    global _mode
-    if _mode is not None:
-        _mode.end(bpy.context)
-        _mode = None
-
-
-HANDLERS = {"load_pre": unregister, "undo_pre": unregister}
+unregister = MANIENT_OT_add_hand.leave
+HANDLERS = dict.fromkeys(("load_pre", "undo_pre"), lambda *_args: unregister())

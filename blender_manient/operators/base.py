@@ -97,7 +97,7 @@ class HandOperator(ManientOperator):
     why_not = staticmethod(why_not_editable)
     """Tells why the hand cannot be worked on; by default why nothing of it can be changed"""
     anywhere = False
-    """Whether it works in every mode, and not only where the hand is posed"""
+    """True if it works in every mode, and not only where the hand is posed"""
 
     @classmethod
     def poll_reason(cls, context) -> str | None:
@@ -124,7 +124,7 @@ class ModalState:
 
     timer: Any = None
     can_stop: bool = True
-    """Whether it can still be stopped before anything is changed"""
+    """True if it can still be stopped before anything is changed"""
     stopped: bool = False
 
     def stop(self) -> None:
@@ -204,6 +204,23 @@ class ModalOperator(ManientOperator):
             context.workspace.status_text_set(text)
 
 
+class ModeOperator(ModalOperator):
+    """The base of operators that run a mode over a viewport, one of a kind at a time."""
+
+    current: Any = None
+    """The mode, while it goes on"""
+
+    @classmethod
+    def leave(cls, *_args) -> None:
+        """End the mode, if it goes on; its operator finds out with its next event."""
+        ended, cls.current = cls.current, None
+        if ended is not None:
+            ended.end(bpy.context)
+
+    def ended(self, context):
+        self.leave()
+
+
 def finish(steps: Generator[str | Progress, None, Any]) -> Any:
     """Do steps without a window beside them; what they return. `Progress` is of another process, which is
     waited for."""
@@ -224,7 +241,7 @@ class StepsOperator(ModalOperator):
     title: str
     """of what they do, as a sentence begins with it"""
     undone: str
-    """What is said where an undo stops them"""
+    """The sentence that is reported where an undo stops them"""
 
     def steps(self, context: bpy.types.Context) -> Generator[str | Progress, None, Any]:
         """Do the work; yields how far it is. Returns what `finished` gets. Where it is closed, nothing was

@@ -249,7 +249,7 @@ def new_request(
             if view and settings.view_lens and not cameras
             else None,
             cameras=cameras,
-            offset=source_info.told_offset(settings) if view else None,
+            offset=source_info.chosen_offset(settings) if view else None,
             baseline=settings.baseline if view and settings.use_baseline and not cameras else None,
             max_megapixels=preferences.get(context).max_megapixels or None,
             keypoints=_full_path(settings.keypoints) if source.kind != "data" else None,

@@ -17,7 +17,8 @@ from .base import InternalOperator, StepsOperator
 TEXT_NAME = "Hand Capture Check"
 WHOLE = "Everything works"
 _OTHER_REMEDIES = "try again", "restart Blender"
-"""Of a process that was killed or slow, and of an update: installing once more mends neither"""
+"""Advice in errors of a process that was killed or slow, and of an update, which a new installation does not
+mend"""
 
 
 class MANIENT_OT_check_installation(StepsOperator, bpy.types.Operator):

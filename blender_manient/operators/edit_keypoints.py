@@ -11,7 +11,7 @@ from handfit_core.edit.corrections import Pins
 from ..scene.store import active_hand, hand_of
 from ..session import shared_worker
 from ..session.refiner import Refiner, why_not
-from .base import ManientOperator, ModalOperator, finish, show_frame_again
+from .base import ManientOperator, ModeOperator, finish, show_frame_again
 from .modes import keypoints as mode
 from .modes import view
 
@@ -22,15 +22,8 @@ _KEYS = (
 _SWITCH = "    V: Other View"
 _ENDS = {"RET", "NUMPAD_ENTER", "TAB", "ESC"}
 
-_mode: mode.KeypointMode | None = None
 
-
-def running() -> bool:
-    """Whether keypoints are being edited."""
-    return _mode is not None
-
-
-class MANIENT_OT_edit_keypoints(ModalOperator, bpy.types.Operator):
+class MANIENT_OT_edit_keypoints(ModeOperator, bpy.types.Operator):
     """Show the 21 points of the hand over the picture. Dragging one fits the hand again so that it lies
     there, and the frames around follow as far as Spread says."""
 
@@ -39,112 +32,103 @@ class MANIENT_OT_edit_keypoints(ModalOperator, bpy.types.Operator):
 
     @classmethod
     def poll_reason(cls, context):
-        return "Keypoints are being edited already" if running() else why_not(context, active_hand(context))
+        return "Keypoints are being edited already" if cls.current else why_not(context, active_hand(context))
 
     def begin(self, context):
         """Begin the mode in the viewport under the mouse, or the largest one."""
-        global _mode
         hand, viewport = active_hand(context), view.first_viewport(context)
         if viewport is None:
             raise OptionError("Keypoints are edited in a 3D viewport: open one in this window")
         if hand is None or hand.camera is None:
             raise OptionError("The hand's capture camera is gone: undo its removal, or import the take")
-        _mode = mode.KeypointMode(context, Refiner(hand.armature), viewport)
+        type(self).current = mode.KeypointMode(context, Refiner(hand.armature), viewport)
         # So that undoing the first drag leads back to here.
         bpy.ops.ed.undo_push(message="Edit Keypoints")
-        self.show_status(context, _KEYS + (_SWITCH if len(_mode.refiner.cameras) > 1 else ""))
+        self.show_status(context, _KEYS + (_SWITCH if len(self.current.refiner.cameras) > 1 else ""))
 
     def run(self, context):
         raise OptionError("Keypoints are edited in a window; scripts use manient.move_keypoint")
 
     def follow(self, context, event):
-        if _mode is None:
+        if self.current is None:
             return self.end(context)
-        trouble = _mode.trouble(context)
+        trouble = self.current.trouble(context)
         if trouble is not None:
             self.report({"INFO"}, trouble)
             return self.end(context)
-        _mode.tick(context)
+        self.current.tick(context)
         if event.type == "TIMER":
             return {"PASS_THROUGH"}
-        viewport = view.viewport_at(context, _mode.view.address)
+        viewport = view.viewport_at(context, self.current.view.address)
         if viewport is None:
             return self.end(context)
-        if _mode.drag is not None and not _mode.drag.released:
+        if self.current.drag is not None and not self.current.drag.released:
             return self._while_dragging(context, event, viewport)
         return self._between_drags(context, event, viewport)
 
     def _while_dragging(self, context, event, viewport):
-        assert _mode is not None
         if event.type == "MOUSEMOVE":
             # Moves in between have been overtaken already.
-            _mode.move(viewport, event.mouse_x, event.mouse_y)
-            _mode.follow(context)
+            self.current.move(viewport, event.mouse_x, event.mouse_y)
+            self.current.follow(context)
         elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
-            _mode.move(viewport, event.mouse_x, event.mouse_y)
-            _mode.release()
-            _mode.tick(context)
+            self.current.move(viewport, event.mouse_x, event.mouse_y)
+            self.current.release()
+            self.current.tick(context)
         elif event.type in ("ESC", "RIGHTMOUSE") and event.value == "PRESS":
-            _mode.cancel_drag(context)
+            self.current.cancel_drag(context)
         return {"RUNNING_MODAL"}
 
     def _between_drags(self, context, event, viewport):
-        assert _mode is not None
         inside = viewport.contains(event.mouse_x, event.mouse_y)
         if event.type in ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE"):
-            hovered = _mode.handle_at(viewport, event.mouse_x, event.mouse_y) if inside else None
-            if hovered != _mode.hovered:
-                _mode.hovered = hovered
+            hovered = self.current.handle_at(viewport, event.mouse_x, event.mouse_y) if inside else None
+            if hovered != self.current.hovered:
+                self.current.hovered = hovered
                 viewport.area.tag_redraw()
             return {"PASS_THROUGH"}
         factor = view.zoom_of(event)
-        if factor is not None and inside and _mode.view.shows(viewport):
+        if factor is not None and inside and self.current.view.shows(viewport):
             viewport.enlarge(factor, viewport.mouse(event))
             return {"RUNNING_MODAL"}
         if event.value != "PRESS":
             return {"PASS_THROUGH"}
         if event.type in ("LEFTMOUSE", "RIGHTMOUSE") and inside and not event.alt:
-            keypoint = _mode.handle_at(viewport, event.mouse_x, event.mouse_y)
+            keypoint = self.current.handle_at(viewport, event.mouse_x, event.mouse_y)
             if keypoint is None and viewport.has_gizmos(viewport.mouse(event)):
                 return {"PASS_THROUGH"}
             # What hits no point is swallowed: it would select, or deselect, what lies behind.
             if keypoint is not None and event.type == "LEFTMOUSE":
                 if event.ctrl:
-                    _mode.unpin(keypoint)
+                    self.current.unpin(keypoint)
                 else:
-                    _mode.press(context, viewport, event.mouse_x, event.mouse_y)
+                    self.current.press(context, viewport, event.mouse_x, event.mouse_y)
                 viewport.area.tag_redraw()
             return {"RUNNING_MODAL"}
         if event.type == "Z" and (event.ctrl or event.oskey):
-            _mode.undo(context, redo=event.shift)
+            self.current.undo(context, redo=event.shift)
             context.area.tag_redraw() if context.area else None
             return {"RUNNING_MODAL"}
         if not inside:
             return {"PASS_THROUGH"}
-        if event.type in ("X", "DEL", "BACK_SPACE") and _mode.hovered is not None:
-            _mode.unpin(_mode.hovered)
+        if event.type in ("X", "DEL", "BACK_SPACE") and self.current.hovered is not None:
+            self.current.unpin(self.current.hovered)
             return {"RUNNING_MODAL"}
         if event.type == "V" and not (event.ctrl or event.shift or event.alt or event.oskey):
-            _mode.switch_view(context, viewport)
+            self.current.switch_view(context, viewport)
             return {"RUNNING_MODAL"}
         if event.type == "H" and not (event.ctrl or event.shift or event.alt or event.oskey):
-            _mode.toggle_solid()
+            self.current.toggle_solid()
             return {"RUNNING_MODAL"}
         if event.type in ("LEFT_ARROW", "RIGHT_ARROW") and not (event.ctrl or event.shift or event.alt):
-            _mode.step(context.scene, -1 if event.type == "LEFT_ARROW" else 1)
+            self.current.step(context.scene, -1 if event.type == "LEFT_ARROW" else 1)
             return {"RUNNING_MODAL"}
         if event.type == "HOME" and not (event.ctrl or event.alt or event.oskey):
-            (_mode.show_picture if event.shift else _mode.show_hand)(viewport)
+            (self.current.show_picture if event.shift else self.current.show_hand)(viewport)
             return {"RUNNING_MODAL"}
         if event.type in _ENDS:
             return self.end(context)
         return {"PASS_THROUGH"}
-
-    def ended(self, context):
-        global _mode
-        ended, _mode = _mode, None
-        if ended is not None:
-            ended.end(context)
 
 
 class MANIENT_OT_move_keypoint(ManientOperator, bpy.types.Operator):
@@ -213,21 +197,17 @@ class MANIENT_OT_move_keypoint(ManientOperator, bpy.types.Operator):
 
 
 def _on_undo(*_args) -> None:
-    if _mode is not None and not _mode.own_undo:
-        _mode.ended = "Keypoints: ended by an undo"
-
-
-def unregister(*_args) -> None:
-    """End the mode; its operator, where it is still there, finds out with its next event."""
-    global _mode
-    if _mode is not None:
-        _mode.end(bpy.context)
-        _mode = None
+    editing = MANIENT_OT_edit_keypoints.current
+    if editing is not None and not editing.own_undo:
+        editing.ended = "Keypoints: ended by an undo"
 
 
 def _on_load(*_args) -> None:
     unregister()
     mode.saved_views.clear()
+
+
+unregister = MANIENT_OT_edit_keypoints.leave
 
 
 HANDLERS = {"undo_post": _on_undo, "redo_post": _on_undo, "load_pre": _on_load}

@@ -74,14 +74,14 @@ class _ExportOperator(ManientOperator):
     )
     file_format: Any
     character: bool
-    """Whether it writes characters, and not captured hands"""
+    """True if it writes characters, and not captured hands"""
 
     def _title(self, context: bpy.types.Context) -> str:
         """The file's name where nobody gives one."""
         raise NotImplementedError
 
     def _chosen(self, context: bpy.types.Context) -> Sequence[HandObjects]:
-        """What is written. Raises HandfitError."""
+        """The hands, or the character, that are written. Raises HandfitError."""
         raise NotImplementedError
 
     def _keyed(self, chosen: Sequence[HandObjects]) -> list[float]:
@@ -137,11 +137,11 @@ class _ExportOperator(ManientOperator):
         return f"Wrote {', '.join(f.name for f in files)} to {path.parent}{more}"
 
     def _left_out(self, _chosen: Sequence[HandObjects]) -> str:
-        """What the report says of objects that are not in the file."""
+        """A sentence for the report about objects that are not in the file; empty without any."""
         return ""
 
     def _cut_off(self, scene: bpy.types.Scene, chosen: Sequence[HandObjects]) -> str:
-        """What the report says of keys before or after the frames in the file."""
+        """A sentence for the report about keys before or after the frames in the file; empty without any."""
         if self.frame_range != "SCENE" or self._exporter.writes != "hands":
             return ""
         frames, last = self._keyed(chosen), scene.frame_end
@@ -153,10 +153,10 @@ class _ExportOperator(ManientOperator):
         )
 
     def _draw_own(self, layout: bpy.types.UILayout) -> None:
-        """What only this operator has."""
+        """Draw the properties that only this operator has."""
 
     def _fill_in(self, context) -> None:
-        """What the caller left open is as the panel says."""
+        """Set the properties that the caller did not set, as the panel has them."""
         settings = context.scene.manient
         for name, value in (("file_format", settings.export_format), ("preset", settings.export_preset)):
             if not self.properties.is_property_set(name):

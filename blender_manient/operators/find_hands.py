@@ -12,7 +12,7 @@ from handfit_core.common.errors import HandfitError, OptionError
 from handfit_core.media.frame_range import FrameRange
 
 from ..session import jobs, source_info
-from .base import ManientOperator, ModalOperator
+from .base import ManientOperator, ModeOperator
 from .capture import new_request, why_no_capture
 from .modes import find_hands as mode
 from .modes import view
@@ -21,7 +21,7 @@ _PASS_THROUGH_KEYS = {"N", "T", *(f"F{n}" for n in range(1, 13))}
 """Keys that do what they do elsewhere"""
 
 
-class MANIENT_OT_find_hands(ModalOperator, bpy.types.Operator):
+class MANIENT_OT_find_hands(ModeOperator, bpy.types.Operator):
     """Show all hands of the picture over it, to choose those that are captured, to say which are left and
     right, and to draw a box around one that was missed. Of a clip the scene's current frame is shown."""
 
@@ -30,7 +30,7 @@ class MANIENT_OT_find_hands(ModalOperator, bpy.types.Operator):
 
     @classmethod
     def poll_reason(cls, context):
-        if mode.current is not None:
+        if cls.current is not None:
             return "Hands are being chosen already"
         return why_no_capture(context, alone=True)
 
@@ -39,15 +39,15 @@ class MANIENT_OT_find_hands(ModalOperator, bpy.types.Operator):
         viewport = view.first_viewport(context)
         if viewport is None:
             raise OptionError("Hands are chosen in a 3D viewport: open one in this window")
-        mode.current = mode.FindMode(chosen_source(context), viewport, context.scene.manient.source)
+        type(self).current = mode.FindMode(chosen_source(context), viewport, context.scene.manient.source)
         self._panned: np.ndarray | None = None
-        self.show_status(context, mode.current.keys)
+        self.show_status(context, self.current.keys)
 
     def run(self, context):
         raise OptionError("Hands are chosen in a window; scripts give regions to a capture")
 
     def follow(self, context, event):
-        session = mode.current
+        session = self.current
         if session is None:
             return self.end(context)
         trouble = session.trouble(context)
@@ -158,9 +158,6 @@ class MANIENT_OT_find_hands(ModalOperator, bpy.types.Operator):
             return ended
         return {"RUNNING_MODAL"}
 
-    def ended(self, context):
-        unregister()
-
 
 class MANIENT_OT_capture_found(ManientOperator, bpy.types.Operator):
     """Capture the hands that are chosen in the picture, and no others."""
@@ -170,10 +167,14 @@ class MANIENT_OT_capture_found(ManientOperator, bpy.types.Operator):
 
     @classmethod
     def poll_reason(cls, context):
-        if mode.current is not None and mode.current.busy:
+        choosing = MANIENT_OT_find_hands.current
+        if choosing is not None and choosing.busy:
             return "The worker is still looking: wait a moment"
-        chosen = mode.current is not None and mode.current.choice.chosen
-        return None if chosen else "No hand is chosen: click one in the picture"
+        return (
+            None
+            if choosing is not None and choosing.choice.chosen
+            else "No hand is chosen: click one in the picture"
+        )
 
     def run(self, context):
         """Queue the capture; the mode finds out with its next event."""
@@ -185,13 +186,13 @@ class MANIENT_OT_capture_found(ManientOperator, bpy.types.Operator):
 def capture_chosen(context: bpy.types.Context, *, then_add_hand: bool = False) -> None:
     """Queue a capture of the hands that are chosen; `then_add_hand` is a field of the request. Raises
     HandfitError."""
-    assert mode.current is not None
-    request = new_request(context, only_frame=False, regions=mode.current.regions())
+    regions = MANIENT_OT_find_hands.current.regions()
+    request = new_request(context, only_frame=False, regions=regions)
     jobs.submit(replace(request, then_add_hand=then_add_hand))
 
 
 def chosen_source(context: bpy.types.Context) -> mode.Source:
-    """What the panel's settings name, at the frame that the scene shows. Raises HandfitError."""
+    """The source of the panel's settings, at the frame that the scene shows. Raises HandfitError."""
     settings, request = context.scene.manient, new_request(context, only_frame=False)
     info = source_info.of(settings)
     assert info.files is not None
@@ -213,11 +214,5 @@ def _frame(current: int, options: CaptureOptions, info: source_info.SourceInfo) 
     return min(used, key=lambda n: abs(n - current)) if used[0] <= current <= used[-1] else used[0]
 
 
-def unregister(*_args) -> None:
-    """End the mode; its operator finds out with its next event."""
-    if mode.current is not None:
-        mode.current.end()
-        mode.current = None
-
-
-HANDLERS = {"load_pre": unregister}
+unregister = MANIENT_OT_find_hands.leave
+HANDLERS = {"load_pre": lambda *_args: unregister()}

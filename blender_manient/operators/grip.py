@@ -10,14 +10,14 @@ import numpy as np
 from mathutils import Matrix
 
 from handfit_core.common.arrays import packed
-from handfit_core.common.errors import HandfitError, OptionError
+from handfit_core.common.errors import OptionError
 from handfit_core.common.skeleton import FINGERS, JOINTS_BY_FINGER
 from handfit_core.edit import Prop
 from handfit_core.edit.corrections import changed_quats, correction_between
 from handfit_core.edit.settings import GRIPS
 from handfit_core.hand_model.axes import WORLD_FROM_CAMERA
 
-from ..common.wording import capitalised, counted
+from ..common.wording import counted
 from ..scene.actions import present_curves
 from ..scene.corrections import correct_frames
 from ..scene.keys import read_pose_keys
@@ -83,7 +83,7 @@ class MANIENT_OT_grip(RangeFitOperator, bpy.types.Operator):
         if prop != self._ticked_for:
             self._ticked_for = prop
             self.fingers = _near(polled_hand(context), prop)
-        return True
+        return super().check(context)
 
     def draw_properties(self):
         # The dialog opens with its first field under the mouse, where Enter would search for an object.
@@ -95,19 +95,12 @@ class MANIENT_OT_grip(RangeFitOperator, bpy.types.Operator):
         self.layout.prop(self, "rides")
 
     def summary(self, context):
-        try:
-            prop = _prop_named(context, self.prop, rides=self.rides)
-            count = len(self.rows(context, Refiner(polled_hand(context).armature)))
-        except HandfitError as error:
-            return capitalised(str(error)), True
+        prop = _prop_named(context, self.prop, rides=self.rides)
+        count = len(self.rows(context, Refiner(polled_hand(context).armature)))
         return f"Lays fingers within 2 cm of {prop.name!r} on it, in {counted(count, 'frame')}", False
 
     def make_fit(self, context):
         return _GripFit(self, context)
-
-    def other_properties(self) -> dict[str, Any]:
-        chosen = {name: getattr(self, name) for name in ("prop", "strength", "rides")}
-        return chosen | {"fingers": tuple(self.fingers)}
 
     def report_text(self, fit):
         return "INFO", f"Fingers lie on {self.prop!r} in {counted(fit.fitted, 'frame')}"

@@ -235,7 +235,7 @@ class _ControlsOperator(HandOperator):
     """The base of operators after which the armature has other bones."""
 
     has_controls: bool
-    """Whether they are for hands with controls"""
+    """True if they are for hands with controls"""
 
     @staticmethod
     def why_not(armature):

@@ -18,7 +18,7 @@ from .base import InternalOperator
 
 @dataclass(frozen=True)
 class SideResult:
-    """What became of one side."""
+    """The result of a check of one side's model file."""
 
     side: Side
     ok: bool

@@ -5,12 +5,12 @@ from __future__ import annotations
 import bpy
 
 from ..common import screen
-from . import add_hand, find_hands
+from .add_hand import MANIENT_OT_add_hand
 from .base import InternalOperator
-from .modes import find_hands as find_mode
+from .find_hands import MANIENT_OT_find_hands
 from .refit_range import RangeFitOperator
 
-_LEAVE = {"FIND": find_hands.unregister, "ADD": add_hand.unregister, "FIT": RangeFitOperator.stop}
+_LEAVE = {"FIND": MANIENT_OT_find_hands.leave, "ADD": MANIENT_OT_add_hand.leave, "FIT": RangeFitOperator.stop}
 """Ends each; its operator finds out with its next event"""
 
 
@@ -25,7 +25,7 @@ class MANIENT_OT_leave(InternalOperator, bpy.types.Operator):
 
     @classmethod
     def poll_reason(cls, context):
-        begun = find_mode.current is not None or add_hand.running() or RangeFitOperator.fitting()
+        begun = MANIENT_OT_find_hands.current or MANIENT_OT_add_hand.current or RangeFitOperator.fitting()
         return None if begun else "Nothing is under way"
 
     def run(self, context):

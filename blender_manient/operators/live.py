@@ -222,7 +222,7 @@ def _take(index: int) -> LiveTake:
 
 
 def _over_viewport(context: bpy.types.Context, event: bpy.types.Event) -> bool:
-    """Whether the mouse is in a 3D viewport, where Space means Record."""
+    """True if the mouse is in a 3D viewport, where Space means Record."""
     return any(
         area.type == "VIEW_3D"
         and 0 <= event.mouse_x - area.x < area.width

@@ -106,7 +106,7 @@ class MANIENT_OT_drop_media(ManientOperator, bpy.types.Operator):
     )
 
     _footage: Footage | None = None
-    """What is known of the first file before it is captured"""
+    """The rate and size of the first file, as far as they are known before it is captured"""
 
     def invoke(self, context, _event):
         """Ask before anything starts: a drop may be meant for something else."""

@@ -12,7 +12,7 @@ from handfit_core.common.errors import HandfitError, OptionError
 
 from ..common import screen
 from ..common.section import sentence
-from ..common.wording import counted
+from ..common.wording import capitalised, counted
 from ..scene import spans
 from ..scene.corrections import corrections_of
 from ..scene.own_keys import keyed_by_hand
@@ -36,7 +36,7 @@ class RangeFit:
     """Numbers of frames, and what makes the fields of the requests for them"""
     poses: BonePoses
     fitted: int
-    """What is written, and of how many frames"""
+    """The poses that are written, and the number of their frames"""
 
     def __init__(self, operator: RangeFitOperator, context: bpy.types.Context) -> None:
         """Raises HandfitError where nothing can be fitted."""
@@ -59,11 +59,12 @@ class RangeFit:
 class RangeFitOperator(StepsOperator):
     """The base of operators that ask for a range of frames and have the worker fit them."""
 
+    as_keywords: Callable[[], dict[str, Any]]
     bl_label: str
     title = "Re-fitting"
     undone = "re-fitting was stopped by an undo: nothing more was changed"
     progress_text = "Re-fitting"
-    """What is said while the worker fits"""
+    """The status line while the worker fits"""
 
     scope: bpy.props.EnumProperty(
         name="Range",
@@ -81,9 +82,9 @@ class RangeFitOperator(StepsOperator):
     )
 
     _dialog = False
-    """Whether this instance asks for the range"""
-    _summary: tuple[tuple[Any, ...], tuple[str, bool]] | None = None
-    """the properties when `summary` was last called, and its result, so that drawing again costs nothing"""
+    """True if this instance asks for the range"""
+    _summary: tuple[str, bool] | None = None
+    """The result of `summary` since the last change, so that drawing again costs nothing"""
 
     @classmethod
     def fitting(cls) -> tuple[str, ModalState] | None:
@@ -106,19 +107,16 @@ class RangeFitOperator(StepsOperator):
         return why_not(context, active_hand(context))
 
     def make_fit(self, context: bpy.types.Context) -> RangeFit:
-        """What is to be fitted. Raises HandfitError."""
+        """The frames that are to be fitted. Raises HandfitError."""
         raise NotImplementedError
 
     def suggest(self, context: bpy.types.Context) -> None:
         """Set the range that is likely meant. Raises HandfitError."""
         self.first, self.last = suggested_range(context)
 
-    def other_properties(self) -> dict[str, Any]:
-        """The values of the properties beside the range, for running the operator from its dialog."""
-        return {}
-
     def summary(self, context: bpy.types.Context) -> tuple[str, bool]:
-        """A sentence about what would be done, and whether it is a warning."""
+        """A sentence about what would be done, and whether it is a warning. Raises HandfitError where nothing
+        would be."""
         raise NotImplementedError
 
     def draw_properties(self):
@@ -126,6 +124,7 @@ class RangeFitOperator(StepsOperator):
 
     def check(self, _context):
         """Say anew what would be done whenever something changes."""
+        self._summary = None
         return True
 
     def draw(self, context):
@@ -133,10 +132,12 @@ class RangeFitOperator(StepsOperator):
         row = self.layout.row(align=True)
         row.prop(self, "first")
         row.prop(self, "last")
-        asked = (self.first, self.last, *self.other_properties().values())
-        if self._summary is None or self._summary[0] != asked:
-            self._summary = asked, self.summary(context)
-        text, alert = self._summary[1]
+        if self._summary is None:
+            try:
+                self._summary = self.summary(context)
+            except HandfitError as error:
+                self._summary = capitalised(str(error)), True
+        text, alert = self._summary
         sentence(self.layout, context, text, "ERROR" if alert else "INFO", width=_WIDTH)
 
     def run(self, context):
@@ -146,8 +147,7 @@ class RangeFitOperator(StepsOperator):
             return super().run(context)
         try:
             operator = getattr(bpy.ops.manient, type(self).bl_idname.removeprefix("manient."))
-            wanted = {"scope": "CUSTOM", "first": self.first, "last": self.last, "asked": True}
-            operator("INVOKE_DEFAULT", **wanted, **self.other_properties())
+            operator("INVOKE_DEFAULT", **self.as_keywords() | {"asked": True})
         except RuntimeError as error:  # its own report
             self.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
         return {"CANCELLED"}

@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from handfit_core.common.errors import HandfitError, OptionError
+from handfit_core.common.errors import OptionError
 
 from ..common.wording import capitalised, counted
 from ..scene.own_keys import captured_poses, smoothed, writing
@@ -65,14 +65,8 @@ class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
 
     def summary(self, context):
         """How many frames would be smoothed."""
-        try:
-            count = len(self.rows(context, Refiner(polled_hand(context).armature)))
-        except HandfitError as error:
-            return capitalised(str(error)), True
+        count = len(self.rows(context, Refiner(polled_hand(context).armature)))
         return f"Smooths {counted(count, 'frame')}; what you corrected or keyed stays", False
-
-    def other_properties(self) -> dict[str, Any]:
-        return {"strength": self.strength}
 
     def report_text(self, fit):
         kept = fit.count - fit.fitted
@@ -132,7 +126,7 @@ class _SmoothFit(MotionFit):
 
 
 def _shown(_owner: Any) -> float:
-    """What the slider says: where it was moved to, else how smooth the active hand's keys are."""
+    """The slider's value: where it was moved to, else how smooth the active hand's keys are."""
     hand = active_hand(bpy.context)
     if hand is None:
         return 1.0

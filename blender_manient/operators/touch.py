@@ -7,12 +7,12 @@ from typing import Any
 import bpy
 import numpy as np
 
-from handfit_core.common.errors import HandfitError, OptionError
+from handfit_core.common.errors import OptionError
 from handfit_core.common.skeleton import FINGERS
 from handfit_core.edit import POINT_NAMES, touching_pair
 from handfit_core.edit.corrections import Touches
 
-from ..common.wording import capitalised, counted
+from ..common.wording import counted
 from ..scene.corrections import correct_frames
 from ..scene.timing import frame_rate
 from ..session.refiner import Refiner
@@ -52,7 +52,7 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
         """Suggest frames anew for other points."""
         if self._suggested != (self.point, self.other):
             self.suggest(context)
-        return True
+        return super().check(context)
 
     def draw_properties(self):
         row = self.layout.row(align=True)
@@ -61,19 +61,13 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
 
     def summary(self, context):
         """How far apart the points are."""
-        try:
-            gaps = _TouchFit(self, context).gaps
-        except HandfitError as error:
-            return capitalised(str(error)), True
+        gaps = _TouchFit(self, context).gaps
         if np.isnan(gaps).all():
             return "There is no hand in these frames", True
         return f"{counted(len(gaps), 'frame')}. {_far_apart(gaps, 'The points')} apart there", False
 
     def make_fit(self, context):
         return _TouchFit(self, context)
-
-    def other_properties(self) -> dict[str, Any]:
-        return {"point": self.point, "other": self.other}
 
     def report_text(self, fit):
         return _touch_report(fit, " and ".join(POINT_NAMES[point] for point in fit.pair))
@@ -95,10 +89,7 @@ class MANIENT_OT_press_together(RangeFitOperator, bpy.types.Operator):
 
     def summary(self, context):
         """What would be pressed together, and how far apart it is."""
-        try:
-            fit = _PressFit(self, context)
-        except HandfitError as error:
-            return capitalised(str(error)), True
+        fit = _PressFit(self, context)
         return f"{counted(fit.count, 'frame')}. {_far_apart(fit.gaps, fit.names)} apart there", False
 
     def make_fit(self, context):
@@ -178,7 +169,7 @@ class _TouchFit(RangeFit):
         self.rows = self.rows[[bool(of_row) for of_row in new]]
         rows, self.count = self.rows.tolist(), len(self.rows)
         self._new = list(filter(None, new))
-        """What is made to touch in each frame"""
+        """The points that are made to touch, for each frame"""
         start = refiner.start_poses(rows)
         self.gaps = refiner.gaps(start, self._new)
         """(N,) metres between what is to touch, at the widest"""

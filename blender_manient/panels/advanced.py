@@ -20,7 +20,6 @@ _FRAME = 8.0
 class MANIENT_PT_advanced(Section, bpy.types.Panel):
     bl_label = "Advanced"
     bl_order = 2
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         layout, settings = split(self.layout), context.scene.manient

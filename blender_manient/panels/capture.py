@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import bpy
 
-from ..common.section import Section, note, split
+from ..common.section import Section, note, row_of, split
 from ..common.wording import capitalised, counted, shortened
-from ..operators import add_hand
-from ..operators.modes import find_hands as find_mode
+from ..operators.add_hand import MANIENT_OT_add_hand
+from ..operators.find_hands import MANIENT_OT_find_hands
 from ..scene import captures
 from ..scene.camera_clip import camera_clips
 from ..scene.matching import is_of_a_capture, is_untouched, scene_sentence
@@ -119,19 +119,19 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             note(layout, f"Onto {hand.armature.name}", "ARMATURE_DATA")
 
     def _buttons(self, context, info: source_info.SourceInfo, ready: bool) -> None:
-        settings, choosing = context.scene.manient, find_mode.current
+        settings, choosing = context.scene.manient, MANIENT_OT_find_hands.current
         buttons = self.layout.column(align=True)
         job = jobs.current_or_next()
         if job is not None:
-            _row(buttons, True, 1.5).progress(factor=job.fraction, text=job.activity())
+            row_of(buttons, True, 1.5).progress(factor=job.fraction, text=job.activity())
             row = buttons.row(align=True)
             text, can = job.stop_button
-            stop = _row(row, can).operator("manient.cancel_capture", text=text, icon="CANCEL")
+            stop = row_of(row, can).operator("manient.cancel_capture", text=text, icon="CANCEL")
             stop.index = jobs.jobs().index(job)
-            _row(row, ready).operator("manient.queue_capture", icon="ADD")
+            row_of(row, ready).operator("manient.queue_capture", icon="ADD")
             buttons.label(text=f"{shortened_here(job.request.name)}  {job.speed_text()}", translate=False)
             return
-        row = _row(buttons, ready, 1.5)
+        row = row_of(buttons, ready, 1.5)
         if choosing is not None:
             count = counted(len(choosing.choice.chosen), "Hand")
             row.operator("manient.capture_found", text=f"Capture {count}", icon="VIEW_PAN")
@@ -143,21 +143,21 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
         if choosing is not None:
             buttons.operator("manient.leave", text="Leave Find Hands", icon="CANCEL").what = "FIND"
         elif searched:
-            _row(buttons, ready).operator("manient.find_hands", icon="VIEWZOOM")
+            row_of(buttons, ready).operator("manient.find_hands", icon="VIEWZOOM")
         if info.files.kind != "photo":
             shown = source_info.shown_frame(context, info.files)
             inside = info.has_frame(shown)
-            row = _row(buttons, ready and choosing is None and inside)
+            row = row_of(buttons, ready and choosing is None and inside)
             text = f"Capture Frame {shown}" if inside else "Capture Frame"
             row.operator("manient.capture", text=text).only_frame = True
         if searched:
             parts = self.layout.split(factor=0.36, align=True)
-            row = _row(parts, choosing is None)
-            if add_hand.running():
+            row = row_of(parts, choosing is None)
+            if MANIENT_OT_add_hand.current is not None:
                 row.operator("manient.leave", icon="CANCEL").what = "ADD"
             else:
                 row.operator("manient.add_hand", icon="ADD")
-            _row(parts, choosing is None).prop(settings, "added_side", expand=True)
+            row_of(parts, choosing is None).prop(settings, "added_side", expand=True)
 
     def _jobs(self) -> None:
         """A line for each capture that waits or is over."""
@@ -189,10 +189,3 @@ def has_scene_camera(scene: bpy.types.Scene) -> bool:
     camera = scene.camera
     own = camera is not None and not is_untouched(camera) and not is_of_a_capture(camera)
     return own or scene.manient.camera == "ACTIVE"
-
-
-def _row(layout, enabled: bool, scale: float = 1.0):
-    row = layout.row(align=True)
-    row.scale_y = scale
-    row.enabled = enabled
-    return row

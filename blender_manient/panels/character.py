@@ -9,7 +9,7 @@ from handfit_core.common.skeleton import FINGERS, SIDES, Side
 from handfit_core.retarget.hand_map import PALM_FINGERS
 from handfit_core.retarget.saved_rigs import saved_rigs
 
-from ..common.section import EditSection, note, split
+from ..common.section import EditSection, note, row_of, split
 from ..common.wording import capitalised
 from ..scene.characters import (
     CharacterObjects,
@@ -30,12 +30,10 @@ from ..session import hand_adjusting, live_link
 class MANIENT_PT_character(EditSection, bpy.types.Panel):
     bl_label = "Character"
     bl_order = 6
-    bl_options = {"DEFAULT_CLOSED"}
     works_on = staticmethod(active_character)
 
     def draw(self, context):
-        layout, armature = self.layout, active_character(context)
-        assert armature is not None
+        layout, armature = self.layout, self.works_on(context)
         layout.label(text=armature.name, icon="OUTLINER_OB_ARMATURE", translate=False)
         why = why_not_reachable(armature)
         if why is not None:
@@ -97,8 +95,7 @@ class MANIENT_PT_character(EditSection, bpy.types.Panel):
         column.prop(character, "contacts")
         if any(arms):
             self._arms(column, armature)
-        row = layout.row(align=True)
-        row.scale_y = 1.3
+        row = row_of(layout, scale=1.3)
         row.operator("manient.apply_to_character", icon="ARMATURE_DATA").mode = "ANIMATION"
         layout.operator("manient.apply_to_character", text="Apply Pose", icon="POSE_HLT").mode = "POSE"
         done = live_link.keying_progress(armature)
@@ -131,12 +128,10 @@ class MANIENT_PT_character(EditSection, bpy.types.Panel):
 class MANIENT_PT_character_bones(EditSection, bpy.types.Panel):
     bl_label = "Bones"
     bl_parent_id = "MANIENT_PT_character"
-    bl_options = {"DEFAULT_CLOSED"}
     works_on = staticmethod(active_character)
 
     def draw(self, context):
-        layout, armature = self.layout, active_character(context)
-        assert armature is not None
+        layout, armature = self.layout, self.works_on(context)
         table = context.scene.manient.hand_table
         layout.row().prop(table, "side", expand=True)
         column = layout.column()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..common.section import EditSection, note, split
+from ..common.section import EditSection, note, row_of, split
 from ..exporters import EXPORTERS
 from ..operators.export import format_buttons
 from ..scene.characters import active_character, why_not_written
@@ -22,30 +22,25 @@ def _exported(context: bpy.types.Context) -> bpy.types.Object | CapturedHand | N
 class MANIENT_PT_export(EditSection, bpy.types.Panel):
     bl_label = "Export"
     bl_order = 7
-    bl_options = {"DEFAULT_CLOSED"}
     works_on = staticmethod(_exported)
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.manient
-        exported = _exported(context)
-        character = None if isinstance(exported, CapturedHand) else exported
-        can = True
+        layout, settings, chosen = self.layout, context.scene.manient, self.works_on(context)
+        character = None if isinstance(chosen, CapturedHand) else chosen
+        why = why_not_written(character, context.scene) if character is not None else None
         if character is not None:
             layout.label(text=character.name, icon="OUTLINER_OB_ARMATURE", translate=False)
-            why = why_not_written(character, context.scene)
-            if why is not None:
-                note(layout, why, "ERROR")
-                can = False
-        elif exported is not None:
-            layout.label(text=exported.collection.name, icon="VIEW_PAN", translate=False)
-        can &= format_buttons(layout, settings, "export_format", character=character is not None)
+        else:
+            layout.label(text=chosen.collection.name, icon="VIEW_PAN", translate=False)
+        if why is not None:
+            note(layout, why, "ERROR")
+        can = format_buttons(layout, settings, "export_format", character=character is not None)
         column = split(layout.column())
         if EXPORTERS[settings.export_format].presets:
             column.prop(settings, "export_preset")
         if character is not None and EXPORTERS[settings.export_format].bakes:
             column.prop(settings, "export_meshes")
-        row = layout.row()
-        row.enabled = can
+        row = row_of(layout, can and why is None)
         if character is None:
             row.operator("manient.export_hand", text="Export", icon="EXPORT")
             return

@@ -6,7 +6,7 @@ import bpy
 
 from handfit_core.common.skeleton import SIDES
 
-from ..common.section import Section, note, props, split
+from ..common.section import Section, note, props, row_of, split
 from ..common.wording import capitalised
 from ..session import live
 from ..session.live_takes import takes
@@ -18,7 +18,6 @@ _PICTURE = 10.0
 class MANIENT_PT_live(Section, bpy.types.Panel):
     bl_label = "Live"
     bl_order = 3
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         layout, settings, session = self.layout, context.scene.manient.live, live.running()
@@ -29,8 +28,7 @@ class MANIENT_PT_live(Section, bpy.types.Panel):
             self._hand(column, getattr(settings, side), side)
         column = split(layout.column())
         props(column, settings, "countdown", "play", "folder")
-        row = layout.row(align=True)
-        row.scale_y = 1.5
+        row = row_of(layout, scale=1.5)
         if session is None:
             row.operator("manient.live", icon="RADIOBUT_ON")
             if live.current is not None and live.current.error is not None:
@@ -46,14 +44,11 @@ class MANIENT_PT_live(Section, bpy.types.Panel):
         column = layout.column(heading=f"{side.capitalize()} Hand")
         row = column.row(align=True)
         row.prop(hand, "use", text="")
-        part = row.row(align=True)
-        part.enabled = hand.use
+        part = row_of(row, hand.use)
         part.prop(hand, "character", text="")
         if hand.character is not None:
             part.prop(hand, "other_side", text="", icon="MOD_MIRROR")
-            part = column.row()
-            part.enabled = hand.use
-            part.prop(hand.character.manient.character, "wrist", text="")
+            row_of(column, hand.use).prop(hand.character.manient.character, "wrist", text="")
 
     def _running(self, context, session: live.LiveSession) -> None:
         layout = self.layout

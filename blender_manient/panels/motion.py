@@ -16,13 +16,11 @@ from ..session import key_preview
 class MANIENT_PT_motion(EditSection, bpy.types.Panel):
     bl_label = "Motion"
     bl_order = 4
-    bl_options = {"DEFAULT_CLOSED"}
     works_on = staticmethod(armature_of)
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.manient
-        armature, hand = armature_of(context), active_hand(context)
-        assert armature is not None
+        armature, hand = self.works_on(context), active_hand(context)
         if hand is not None:
             row = layout.row(align=True)
             row.operator("manient.mirror_hand", icon="MOD_MIRROR")

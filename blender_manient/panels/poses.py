@@ -12,7 +12,6 @@ from ..scene.store import CapturedHand, active_hand
 class MANIENT_PT_poses(EditSection, bpy.types.Panel):
     bl_label = "Pose"
     bl_order = 3
-    bl_options = {"DEFAULT_CLOSED"}
     works_on = staticmethod(posed_by)
 
     def draw(self, context):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..common import plugins, preferences
-from ..common.section import props, sentence, split
+from ..common.section import props, row_of, sentence, split
 from ..common.wording import capitalised
 from ..operators import check_installation, housekeeping
 from ..session import cache, details
@@ -36,8 +36,7 @@ def _draw_worker(self, layout: bpy.types.UILayout, _context: bpy.types.Context) 
 def _draw_mano(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     layout.separator()
     layout.prop(self, "mano_folder")
-    row = layout.row()
-    row.enabled = bool(self.mano_folder)
+    row = row_of(layout, bool(self.mano_folder))
     row.operator("manient.check_mano", icon="CHECKMARK").path = self.mano_folder
     for result in housekeeping.results(self.mano_folder):
         sentence(layout, context, result.sentence, "CHECKMARK" if result.ok else "ERROR")

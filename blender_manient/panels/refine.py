@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..common import preferences
-from ..common.section import EditSection, note
+from ..common.section import EditSection, note, row_of
 from ..common.wording import capitalised, counted
 from ..operators.base import ModalOperator
 from ..scene import corrections
@@ -16,18 +16,17 @@ from ..session.refiner import why_not_refinable, why_not_smoothable
 class MANIENT_PT_refine(EditSection, bpy.types.Panel):
     bl_label = "Correct"
     bl_order = 2
+    bl_options = set()
     works_on = staticmethod(active_hand)
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.manient
-        hand = active_hand(context)
-        assert hand is not None
+        layout, hand = self.layout, self.works_on(context)
         why = why_not_refinable(hand.track)
         if why is not None:
             note(layout, capitalised(why), "INFO")
         else:
             self._by_points(context, hand)
-        layout.prop(settings, "spread", text="Spread (Frames)")
+        layout.prop(context.scene.manient, "spread", text="Spread (Frames)")
         corrected = corrections.corrected_frames(hand.armature)
         if corrected:
             shown = ", ".join(str(f) for f in corrected[:8]) + (" ..." if len(corrected) > 8 else "")
@@ -40,11 +39,9 @@ class MANIENT_PT_refine(EditSection, bpy.types.Panel):
             self._locks(hand.armature)
 
     def _by_points(self, context, hand: CapturedHand) -> None:
-        """What needs the points that were detected."""
+        """Draw the buttons that need the points that were detected."""
         layout = self.layout
-        column = layout.column()
-        column.scale_y = 1.3
-        column.operator("manient.edit_keypoints", icon="EDITMODE_HLT")
+        row_of(layout, scale=1.3).operator("manient.edit_keypoints", icon="EDITMODE_HLT")
         kept = preferences.get()
         if isinstance(kept, bpy.types.AddonPreferences):
             layout.prop(kept, "hand_opacity", slider=True)

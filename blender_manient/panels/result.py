@@ -7,7 +7,7 @@ import numpy as np
 
 from handfit_core.take.fit_quality import NOT_KNOWN
 
-from ..common.section import EditSection, note
+from ..common.section import EditSection, note, row_of
 from ..common.wording import capitalised, counted
 from ..operators.base import ModalOperator
 from ..rigs.arm import has_arm
@@ -22,6 +22,8 @@ from ..scene.timing import frame_rate
 class MANIENT_PT_result(EditSection, bpy.types.Panel):
     bl_label = "Result"
     bl_order = 1
+    bl_options = set()
+    works_on = staticmethod(lambda context: context.scene)
 
     def draw(self, context):
         layout, hand = self.layout, active_hand(context)
@@ -102,14 +104,13 @@ class MANIENT_PT_result(EditSection, bpy.types.Panel):
         row = box.row(align=True)
         if count > 1:
             marked = is_marked(context.scene, hand)
-            markable = row.row(align=True)
-            markable.enabled = marked or doubtful + filled > 0
+            markable = row_of(row, marked or doubtful + filled > 0)
             mark = markable.operator("manient.mark_doubtful", text="Markers", depress=marked)
             mark.hand = armature.name
         row.prop(armature.manient, "show_confidence", text="Colors", toggle=True)
 
     def _other_rate(self, context, box: bpy.types.UILayout, hand: CapturedHand) -> None:
-        """What a change of the scene's rate has done to the hand, and both ways to put it right."""
+        """Draw a warning where the scene's rate is not the hand's, with both ways to mend it."""
         built, rate = other_rate(context.scene, hand.collection), frame_rate(context.scene)
         if not built:
             return
@@ -129,6 +130,5 @@ class MANIENT_PT_result(EditSection, bpy.types.Panel):
             said = "found" if there == found else f"in {there} of {found} frames"
             box.label(text=f"Arm {said}", translate=False)
         else:
-            row = box.row(align=True)
-            row.enabled = "manient.add_arms" not in ModalOperator.running
+            row = row_of(box, "manient.add_arms" not in ModalOperator.running)
             row.operator("manient.add_arms", icon="CON_KINEMATIC").hand = hand.armature.name

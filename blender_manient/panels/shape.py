@@ -12,12 +12,10 @@ from ..scene.store import active_hand
 class MANIENT_PT_shape(EditSection, bpy.types.Panel):
     bl_label = "Shape"
     bl_order = 5
-    bl_options = {"DEFAULT_CLOSED"}
     works_on = staticmethod(active_hand)
 
     def draw(self, context):
-        layout, hand = self.layout, active_hand(context)
-        assert hand is not None
+        layout, hand = self.layout, self.works_on(context)
         kept = hand.armature.manient
         column = layout.column(align=True)
         for index, name in enumerate(reshape.shape_names_of(hand)):

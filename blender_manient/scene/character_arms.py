@@ -19,14 +19,13 @@ from mathutils import Matrix
 
 from handfit_core.common.errors import HandModelError
 from handfit_core.common.skeleton import FINGER_JOINTS, other_side
-from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat, unflip_quats
+from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat, swings, unflip_quats
 from handfit_core.retarget.arms import (
     THICKNESS,
     Capsules,
     CapturedArm,
     TargetArm,
     kept_outside,
-    swings,
     swivel_angles,
     target_arm,
 )

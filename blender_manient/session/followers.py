@@ -27,7 +27,7 @@ class Follower:
         self.steps: Iterator[float] | None = None
 
     def has_rested(self, seconds: float) -> bool:
-        """Whether the last change that is not followed yet was so long ago."""
+        """True if the last change that is not followed yet was so long ago."""
         return self.changed is not None and time.monotonic() - self.changed >= seconds
 
 
@@ -46,7 +46,7 @@ class Followers(dict[int, Any]):
         super().__init__()
         self._go_on, self._fail, self._is_following = go_on, fail, is_following
         self.step = self._step
-        """What is given to the timer: Blender knows a function by its identity, and methods have none"""
+        """The timer's function, always the same object, by which Blender finds it again"""
 
     def _step(self) -> float | None:
         """Go on for some milliseconds. Returns after how many seconds to look again; None where nothing is to

@@ -72,7 +72,7 @@ class Building:
 
 @dataclass(frozen=True)
 class CaptureRequest:
-    """What is captured, and what becomes of it."""
+    """One capture as it was asked for: its input, its options, and how its hands are built."""
 
     name: str
     files: tuple[str, ...]
@@ -87,7 +87,7 @@ class CaptureRequest:
     output: Path | None = None
     """Where the take is kept; None: in a folder that goes when Blender ends"""
     then: Callable[[BuiltTake], Generator[float, None, None]] | None = None
-    """What is done with new hands before they are an undo step, in slices"""
+    """Goes on with new hands, in slices, before they become an undo step"""
 
     def shares(self) -> dict[tuple[str, int], float]:
         """The share of the job's time that each stage takes, in their order, by its name and the view."""
@@ -106,10 +106,10 @@ class CaptureRequest:
 
 @dataclass(frozen=True)
 class CaptureResult:
-    """What came of a job."""
+    """The outcome of a job, as panel and reports show it."""
 
     message: str = ""
-    """What was built or went wrong, in one sentence"""
+    """One sentence about what was built, or about what went wrong"""
     hands: tuple[str, ...] = ()
     """Names of the armatures"""
     warnings: tuple[str, ...] = ()
@@ -120,7 +120,7 @@ class CaptureResult:
     in_front: bool = False
     """True if it became the active capture, whose camera the scene looks through"""
     scene_message: str = ""
-    """What became of the scene, in one sentence; empty where nothing was built into it"""
+    """One sentence about how the scene was changed; empty where nothing was built into it"""
     views_message: str = ""
     """The verdict on a capture of two views that fit together; empty for one view, and where a warning says
     that they do not"""
@@ -202,7 +202,7 @@ class Job:
         return float(self.finished)
 
     def activity(self) -> str:
-        """What the job does now, short enough for a progress bar; of a finished job its result."""
+        """The present step in words, short enough for a progress bar; of a finished job its result."""
         if self.finished:
             return self.result.message
         if self.state == "waiting":
@@ -232,7 +232,7 @@ def jobs() -> tuple[Job, ...]:
 
 
 def busy() -> bool:
-    """Whether something is captured, built, or waits for it."""
+    """True if something is captured, built, or waits for it."""
     return any(not job.finished for job in _queue)
 
 

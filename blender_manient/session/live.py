@@ -15,7 +15,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from handfit_core.capturing.options import CaptureOptions
+from handfit_core.capturing.options import CaptureOptions, LiveOptions
 from handfit_core.common.arrays import unpack
 from handfit_core.common.errors import Cancelled, HandfitError, OptionError
 from handfit_core.common.skeleton import Side
@@ -66,15 +66,14 @@ class LiveSession:
         for side in followed:
             kept_model(str(options.model), side)  # now, rather than when the first hand is seen
         self.worker = shared_worker.new_worker()
-        size = [int(pixels) for pixels in wanted.size.split("x")]
-        live = {"online": bpy.app.online_access, "size": size, "fps": wanted.fps, "loop": True}
+        live = LiveOptions(online=bpy.app.online_access, size=wanted.size, fps=wanted.fps, loop=True)
         self._asking = shared_worker.ask(
             "live",
             "Live",
             self.worker,
             source=wanted.source,
             options=options.to_message(),
-            live=live,
+            live=live.to_message(),
             picture=PICTURE_WIDTH,
             mirror=wanted.mirror,
         )
@@ -83,7 +82,7 @@ class LiveSession:
         self._hands: dict[Side, LiveHand] = {}
         self._newest: dict[Side, HandMotion] = {}
         self.hand_states: dict[Side, str] = {}
-        """By the person's side: seen, held or resting"""
+        """`seen`, `held` or `resting`, by the person's side"""
         self._sequence = 0
         self._latencies: list[float] = []
         self._ending_until: float | None = None
@@ -98,13 +97,13 @@ class LiveSession:
         """Recordings that are over and wait to be captured"""
         self._said = 0.0
         self.message = "Starting"
-        """What is to be known, a sentence; empty: nothing"""
+        """A sentence for the panel; empty where there is nothing to say"""
         self.error: HandfitError | None = None
         self.fps, self.dropped = 0.0, 0
 
     @property
     def over(self) -> bool:
-        """Whether the worker has ended, and nothing is left to be done."""
+        """True if the worker has ended, and nothing is left to be done."""
         return self._closed and self._previewing is None
 
     @property
@@ -120,7 +119,7 @@ class LiveSession:
 
     @property
     def is_recording(self) -> bool:
-        """Whether it records, or counts down to that."""
+        """True if it records, or counts down to that."""
         return self._recording is not None or self._record_at is not None
 
     @property
@@ -129,7 +128,7 @@ class LiveSession:
         return float(np.median(self._latencies)) if self._latencies else 0.0
 
     def status(self) -> str:
-        """What it does now, and how fast."""
+        """The present step in words, and its speed."""
         if self._record_at is not None:
             return f"Recording in {max(1, int(np.ceil(self._record_at - time.monotonic())))}"
         if self._recording is not None:
@@ -140,7 +139,7 @@ class LiveSession:
 
     @property
     def has_set_aside(self) -> bool:
-        """Whether takes are hidden, since hands that follow stand where they do."""
+        """True if takes are hidden, since hands that follow stand where they do."""
         return bool(self._hands) and any(c.hide_viewport for take in self._taken for c in take.collections)
 
     # What the artist does
@@ -372,7 +371,7 @@ class LiveSession:
 
 
 current: LiveSession | None = None
-"""What goes on"""
+"""The session that was started last, which may be over"""
 
 
 def start(scene: bpy.types.Scene, options: CaptureOptions, followed: Followed) -> LiveSession:

@@ -57,15 +57,15 @@ class _Link(Follower):
         super().__init__(armature)
         self.changed = time.monotonic() - _QUIET_SECONDS
         self.shows = shows
-        """Whether the pose is to be shown at once"""
+        """True if the pose is to be shown at once"""
         self.written: list[BoneKeys] | None = None
-        """What the link has keyed last; None where it does not know any more"""
+        """The keys that the link wrote last; None where they are unknown since an undo"""
         self.began = self.done = 0.0
-        """Since when it is being keyed, and which share of that is done"""
+        """The moment of `time.monotonic` at which keying began, and how much of it is done, 0..1"""
 
 
 _settling = False
-"""Whether a property is being set by this module itself"""
+"""True if a property is being set by this module itself"""
 _troubles: dict[int, str] = {}
 """the reason, a sentence, why a character follows no more, by its armature's session_uid"""
 

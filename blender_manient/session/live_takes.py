@@ -49,7 +49,7 @@ from . import jobs
 from .cache import folder_path
 
 _Moved = dict[BlockReference, list[tuple[Side, Motion]]]
-"""What hands of characters are to do"""
+"""The motions that hands of characters get, by character"""
 
 
 @dataclass(eq=False)
@@ -65,7 +65,7 @@ class LiveTake:
     options: CaptureOptions
     followed: Followed
     anchors: dict[Target, Anchor] = field(default_factory=dict)
-    """Of characters' hands that are turned, too"""
+    """Where turned hands of characters begin, by character and side"""
     seconds: float = 0.0
     poses: list[tuple[float, dict[Side, HandMotion]]] = field(default_factory=list)
     """Seconds, and the hands that were shown then"""
@@ -86,11 +86,11 @@ class LiveTake:
 
     @property
     def collections(self) -> list[bpy.types.Collection]:
-        """What it has in the scene now."""
+        """The collections that it has in the scene now."""
         return [found for made in self._made if (found := made.find()) is not None]
 
     def text(self) -> str:
-        """What it is, and how far."""
+        """Its name and length, and how far its capture is."""
         job = self.job
         name = f"Take {self.number}: {self.seconds:.1f} s"
         if job is None or job.state == "waiting":

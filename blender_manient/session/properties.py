@@ -19,7 +19,7 @@ from bpy.props import (
     StringProperty,
 )
 
-from handfit_core.capturing.options import OPTIONS
+from handfit_core.capturing.options import LIVE_OPTIONS, OPTIONS, Option
 from handfit_core.common.errors import HandfitError
 from handfit_core.common.skeleton import NUM_BETAS, NUM_JOINTS
 from handfit_core.fit.solvers import SOLVERS
@@ -86,11 +86,16 @@ EXPORT_FORMATS = tuple(
 )
 
 
+def described(option: Option, more_help: str = "") -> str:
+    """A property's description: the option's help, and more."""
+    return option.help[0].upper() + option.help[1:] + more_help
+
+
 def option_property(name: str, units: float = 1.0, more_help: str = "") -> dict[str, Any]:
     """A property's description, default and range, as the capture's option of that name has them. `units`:
     the panel's units in one of the option's; `more_help` is added to the description."""
     option = OPTIONS[name]
-    shown: dict[str, Any] = {"description": option.help[0].upper() + option.help[1:] + more_help}
+    shown: dict[str, Any] = {"description": described(option, more_help)}
     if option.default is not None:
         shown["default"] = option.default
     if math.isfinite(option.most):
@@ -99,7 +104,7 @@ def option_property(name: str, units: float = 1.0, more_help: str = "") -> dict[
 
 
 def has_surface(obj: bpy.types.Object) -> bool:
-    """Whether a hand may hold an object of its type."""
+    """True if a hand may hold an object of its type."""
     return obj.type in ("MESH", "CURVE", "SURFACE", "FONT", "META")
 
 
@@ -137,14 +142,18 @@ class ManientLive(bpy.types.PropertyGroup):
     )
     size: EnumProperty(
         name="Size",
-        description="What the camera is asked for; pictures of other sizes are followed, too",
+        description=described(LIVE_OPTIONS["size"], "; pictures of other sizes are followed, too"),
         items=tuple(
             (size, size.replace("x", " × "), "Pixels") for size in ("640x480", "1280x720", "1920x1080")
         ),
-        default="640x480",
+        default=LIVE_OPTIONS["size"].by_default,
     )
     fps: IntProperty(
-        name="Rate", description="Frames per second that the camera is asked for", default=30, min=1, max=240
+        name="Rate",
+        description=described(LIVE_OPTIONS["fps"]),
+        default=int(LIVE_OPTIONS["fps"].default),
+        min=1,
+        max=240,
     )
     mirror: BoolProperty(
         name="Mirror Picture",

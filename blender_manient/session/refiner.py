@@ -49,7 +49,7 @@ _NEAREST = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class BonePoses(Batch):
-    """What N frames' bones are set to; NaN rows where there is no hand."""
+    """The poses of the bones in N frames; NaN rows where there is no hand."""
 
     quats: np.ndarray
     """(N, 16, 4) as (w, x, y, z), relative to the bones' rest"""
@@ -169,18 +169,18 @@ class Refiner:
         return corrections.corrections_of(self.armature).touching(self.source_frame(row))
 
     def is_corrected(self, row: int) -> bool:
-        """Whether the row was re-fitted with pins or touches."""
+        """True if the row was re-fitted with pins or touches."""
         return self.source_frame(row) in corrections.corrections_of(self.armature).corrected
 
     def is_beside_correction(self, row: int) -> bool:
-        """Whether corrections of other frames move the hand in this row, so that it is no more what was
+        """True if corrections of other frames move the hand in this row, so that it is no more what was
         detected."""
         field = corrections.corrections_of(self.armature)
         rotation, location = field.at(np.array([self.source_frame(row)]))
         return not self.is_corrected(row) and bool(rotation.any() or location.any())
 
     def keyed_poses(self, rows: Sequence[int]) -> BonePoses:
-        """What the keys say on these rows, corrections included."""
+        """The poses that the keys have on these rows, corrections included."""
         quats, locations = pose_at(self.hand.rig, self.scene_frames()[list(rows)])
         return BonePoses(quats, locations, self.landmarks(quats, locations))
 
@@ -228,7 +228,7 @@ class Refiner:
         smoothing: float = CaptureOptions.smoothing,
         touches: Sequence[Touches] | None = None,
     ) -> Callable[[], dict[str, Any]]:
-        """What makes the fields of a `refit` request: these rows, their pins, and the poses to start from.
+        """A call that makes the fields of a `refit` request: these rows, their pins, the poses to start from.
         `touches`: None for those that are kept.
 
         The call asks nothing of Blender any more, so that for many frames it can wait for a later moment.
@@ -265,7 +265,7 @@ class Refiner:
         return fields
 
     def poses(self, done: Mapping[str, Any], count: int = 1) -> BonePoses:
-        """What a `done` event says of `count` frames, as the bones have it. Raises ProtocolError."""
+        """The poses of `count` frames in a `done` event, as the bones have them. Raises ProtocolError."""
         result = result_from_message(done, count)
         count = len(result.transl)
         quats = np.full((count, NUM_JOINTS, 4), np.nan)

@@ -11,7 +11,7 @@ from typing import Any
 
 import bpy
 
-from handfit_core.common.errors import HandfitError
+from handfit_core.common.errors import Cancelled, HandfitError
 from handfit_core.fit.solvers import SOLVERS
 from handfit_core.worker.client import CHOOSE_PYTHON, Worker
 from handfit_core.worker.events import Event, as_error
@@ -101,7 +101,7 @@ class Progress:
     """How far a request to the worker is, as `ask` yields it, or other work of a capture."""
 
     title: str
-    """What is done, as a text about it begins"""
+    """The words with which a text about the request begins"""
     stage: str = ""
     """The worker's own name of what it does now; empty until it says so"""
     view: int = 0
@@ -111,7 +111,7 @@ class Progress:
     began: float = field(default_factory=time.monotonic)
     """The moment of `time.monotonic` at which the stage, or before the first one the request, began"""
     first: float = 0
-    """What was done when the worker first told of the stage"""
+    """The value of `done` in the first event of the stage"""
     warnings: tuple[str, ...] = ()
     offer: str = ""
     """The operator, `find_hands` or `add_hand`, that helps with the first warning"""
@@ -164,7 +164,8 @@ Asking = Generator[Progress, None, Event]
 def ask(kind: str, title: str, of_worker: Worker | None = None, **fields: Any) -> Asking:
     """Send a request to the shared worker, or to `of_worker`, and wait for it: yields how far it is. Returns
     the `done` event; where it is closed, the request is cancelled. Raises HandfitError where the request
-    failed, which of the shared worker's is written down under the title, if there is one."""
+    failed; what the shared worker says of it goes into the text of details, unless the title is empty or it
+    was cancelled."""
     asked, progress, request = of_worker or worker(), Progress(title), 0
     try:
         request = asked.submit(kind, **fields)
@@ -183,7 +184,7 @@ def ask(kind: str, title: str, of_worker: Worker | None = None, **fields: Any) -
                     raise as_error(event)
                 return event
     except HandfitError as error:
-        if of_worker is None and title:
+        if of_worker is None and title and not isinstance(error, Cancelled):
             details.write_details(title, str(error), error)
         raise
     finally:

@@ -55,7 +55,7 @@ _POLL_SECONDS = 0.1
 
 @dataclass(frozen=True)
 class SourceFiles:
-    """What a capture reads."""
+    """The files that a capture reads."""
 
     kind: SourceKind
     """data: another program's hands"""
@@ -63,7 +63,7 @@ class SourceFiles:
     """absolute: the photo, the video, the other program's file or folder, or every picture of a sequence in
     order"""
     left_out: str = ""
-    """What else is in the folder that was named, in a sentence"""
+    """A sentence about other files of the folder, which are not read"""
 
     @property
     def numbers(self) -> list[int] | None:
@@ -121,7 +121,7 @@ def numbered_siblings(path: Path) -> list[Path]:
 
 @dataclass
 class SourceInfo:
-    """What is known of one source."""
+    """One source, as far as it is known."""
 
     path: str
     as_sequence: bool
@@ -137,20 +137,20 @@ class SourceInfo:
     first: int = 1
     last: int = 1
     unsized: bool = False
-    """Whether these are another program's hands in pictures of a size that their file does not tell"""
+    """True if these are another program's hands in pictures of a size that their file does not tell"""
     pictured: int | None = None
     picture: str = ""
     """The file with the newest picture of a frame that came"""
 
     def has_frame(self, number: int) -> bool:
-        """Whether it may have a frame of that number, as far as is known."""
+        """True if it may have a frame of that number, as far as is known."""
         if not self.frames or self.files is None:
             return number >= 0
         return number in (self.files.numbers or range(self.first, self.last + 1))
 
     @property
     def is_gone(self) -> bool:
-        """Whether its file was there and is not any more."""
+        """True if its file was there and is not any more."""
         return self.files is not None and not Path(self.files.files[0]).exists()
 
 
@@ -180,7 +180,7 @@ def _is_known(settings, field: Field) -> bool:
 
 
 def has_views(info: SourceInfo) -> bool:
-    """Whether a source is one of which a second camera may have filmed another view."""
+    """True if a source is one of which a second camera may have filmed another view."""
     return info.files is not None and info.files.kind in ("video", "sequence")
 
 
@@ -224,7 +224,7 @@ def shown_frame(context: bpy.types.Context, files: SourceFiles) -> int:
 
 
 def lacks_size(settings, info: SourceInfo) -> bool:
-    """Whether the artist has yet to say how large the source's pictures are."""
+    """True if the artist has yet to say how large the source's pictures are."""
     return info.unsized and not all(settings.picture_size)
 
 
@@ -308,7 +308,7 @@ def pair_changed(settings) -> None:
         settings.pair = inside
 
 
-def told_offset(settings) -> float | None:
+def chosen_offset(settings) -> float | None:
     """Seconds from the start of what is captured of the source to that of the second view, as told by the
     artist; None where it is to be found. Raises OptionError."""
     if not settings.use_offset:

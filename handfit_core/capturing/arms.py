@@ -224,8 +224,8 @@ def _fitted(
     upper arm and forearm (A, T, 2, 3), their expected errors (A, T, 2), and their lengths (A, T, 2),
     metres, to reach from this body to the hands as they are. None where hands and body do not fit."""
     seen = _seen(hands, body, camera, shot)
-    arms, lengths = fit_arms(seen, fps)
-    points = np.stack(arms.points(lengths)[:2], axis=2)
+    arms = fit_arms(seen, fps)
+    points = arms.points[:, :, :2]
     size = np.stack([_size(hand, camera)[shot] for hand in hands], axis=1)
     off = np.linalg.norm(camera.project(points) - seen.pixels[..., :2, :], axis=-1).mean(axis=-1) / size
     body_seen = seen.visibility[..., 0] > 0.0
@@ -240,7 +240,7 @@ def _fitted(
     errors = np.hypot(np.array(GATES.errors) / visible, 0.5 * np.nan_to_num(disagreement))
     there = _near(sure, fps) & seen.with_hand
     # What the arm says of the hand's distance tells its lengths: the hand stays where it is.
-    lengths = scale * lengths
+    lengths = scale * arms.lengths
     directions[~there] = errors[~there] = lengths[~there] = np.nan
     return directions.swapaxes(0, 1), errors.swapaxes(0, 1), lengths.swapaxes(0, 1)
 

@@ -1,8 +1,8 @@
-"""Every option of a capture, once: its name, kind, range, unit, default and help.
+"""Every option of a capture and of a live run, once: its name, kind, range, unit, default and help.
 
 `pipeline.capture`, the command line, batches, the worker's protocol and Blender's properties read them from
-here. An option is added as a field of `CaptureOptions`; tests then ask for a value in their table, and for
-its flag in docs/batch.md.
+here. An option is added as a field of `CaptureOptions` or `LiveOptions`; tests then ask for a value in their
+table, and for its flag in docs/batch.md.
 """
 # ruff: noqa: RUF009 (what a dataclass's default calls here makes a field)
 
@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from numbers import Real
-from typing import Any, Final, Literal, get_args
+from typing import Any, ClassVar, Final, Literal, Self, get_args
 
 from handfit_core.common.errors import OptionError
 from handfit_core.common.skeleton import SIDES, HandChoice, Side
@@ -89,6 +90,8 @@ class Option:
     """What help says of a default that explains nothing by itself"""
     repeated: bool = False
     """Whether the command line's may be given several times, each with one of its values"""
+    spelled: str = ""
+    """Its flag, where that is not made of its name"""
     called: str = ""
     """What messages call it; empty: by its name"""
     advice: str = ""
@@ -99,7 +102,12 @@ class Option:
     @property
     def flag(self) -> str:
         """Its spelling on the command line."""
-        return "--" + self.name.replace("_", "-").removesuffix("s" if self.repeated else "")
+        return self.spelled or "--" + self.name.replace("_", "-").removesuffix("s" if self.repeated else "")
+
+    @property
+    def dest(self) -> str:
+        """Its name among parsed arguments."""
+        return self.spelled.removeprefix("--") or self.name
 
     def read(self, given: Any) -> Any:
         """What was given, by a program, a message or the command line, as the option's value; None is as good
@@ -131,16 +139,16 @@ class Option:
 
     def add_to(self, parser: argparse._ActionsContainer) -> None:
         """Add it to a command line; what is not given is None there."""
-        if self.kind is _flag:
+        if self.kind is as_flag:
             parser.add_argument(self.flag, action="store_true", default=None, help=self.help)
             return
         text, named = self.help, {}
         if self.choices is not None:
             text, named = f"{text}: %(listed)s", {"action": _Listing, "listed": self.choices}
         if self.repeated:
-            named |= {"action": "append", "dest": self.name}
+            named |= {"action": "append", "dest": self.dest}
         default = self.by_default or f"{self.default * self.units if self.unit else self.default}"
-        number = {_number: float, _positive: float, _whole: int}
+        number = {as_number: float, as_positive: float, as_whole: int}
         parser.add_argument(
             self.flag,
             metavar=self.metavar,
@@ -161,17 +169,19 @@ class _Listing(argparse._StoreAction):
         return ", ".join(self._choices())
 
 
-def _text(given: Any) -> str:
+def as_text(given: Any) -> str:
+    """A text that is not empty."""
     if not isinstance(given, str) or not given:
         raise ValueError("a text")
     return given
 
 
 def _path(given: Any) -> str:
-    return _text(os.fspath(given) if isinstance(given, os.PathLike) else given)
+    return as_text(os.fspath(given) if isinstance(given, os.PathLike) else given)
 
 
-def _number(given: Any) -> float:
+def as_number(given: Any) -> float:
+    """A number, NaN included."""
     if not isinstance(given, Real) or isinstance(given, bool):
         raise ValueError("a number")
     try:
@@ -180,35 +190,38 @@ def _number(given: Any) -> float:
         raise ValueError("a finite number") from None
 
 
-def _positive(given: Any) -> float:
-    number = _number(given)
+def as_positive(given: Any) -> float:
+    """A finite number above 0."""
+    number = as_number(given)
     if not 0.0 < number < math.inf:
         raise ValueError("a number above 0")
     return number
 
 
-def _whole(given: Any) -> int:
-    number = _number(given)
+def as_whole(given: Any) -> int:
+    """A whole number."""
+    number = as_number(given)
     if not number.is_integer():  # nor are NaN and infinity
         raise ValueError("a whole number")
     return int(number)
 
 
-def _flag(given: Any) -> bool:
+def as_flag(given: Any) -> bool:
+    """True or false."""
     if not isinstance(given, bool):
         raise ValueError("true or false")
     return given
 
 
 def _frames(given: Any) -> FrameRange:
-    return given if isinstance(given, FrameRange) else FrameRange.parse(_text(given))
+    return given if isinstance(given, FrameRange) else FrameRange.parse(as_text(given))
 
 
 def _numbers(given: Any, what: str, count: int) -> tuple[float, ...]:
     """Numbers out of a list, or out of a text in which commas separate them."""
     try:
         parts = given.split(",") if isinstance(given, str) else list(given)
-        numbers = tuple(_number(float(part) if isinstance(part, str) else part) for part in parts)
+        numbers = tuple(as_number(float(part) if isinstance(part, str) else part) for part in parts)
     except (TypeError, ValueError):
         numbers = ()
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
@@ -265,39 +278,88 @@ def _readers() -> Iterable[str]:
     return READERS.names()
 
 
-def _option(default: Any, kind: Callable[[Any], Any], help: str, metavar: str | None = None, **more: Any):
-    """A field of `CaptureOptions`, and what belongs to it."""
+def option(default: Any, kind: Callable[[Any], Any], help: str, metavar: str | None = None, **more: Any):
+    """A field of `Options`, and what belongs to it."""
     return dataclasses.field(
         default=default, metadata={"option": Option(kind, help, metavar, default=default, **more)}
     )
 
 
-@dataclass(frozen=True)
-class CaptureOptions:
-    """What a capture can be told. Whatever is given is checked and brought into the form of its field, and
-    None is as good as nothing. Raises OptionError."""
+@functools.cache
+def options_of(cls: type[Options]) -> dict[str, Option]:
+    """The options that a class declares, by their names."""
+    declared = {each.name: each.metadata["option"] for each in fields(cls) if each.metadata}  # type: ignore
+    return {name: dataclasses.replace(option, name=name) for name, option in declared.items()}
 
-    frames: FrameRange | None = _option(
+
+@dataclass(frozen=True)
+class Options:
+    """What somebody can be told, an `option` a field. Whatever is given is checked and brought into the form
+    of its field, and None is as good as nothing. Raises OptionError."""
+
+    whose: ClassVar[str]
+    """Names in messages what the options are of"""
+
+    def __post_init__(self) -> None:
+        for name, option in options_of(type(self)).items():
+            object.__setattr__(self, name, option.read(getattr(self, name)))
+
+    @classmethod
+    def of_message(cls, options: object, **others: Any) -> Self:
+        """The options of a request to the worker, and `others` that are no options. Raises OptionError also
+        for an option that does not exist."""
+        if not isinstance(options, Mapping):
+            raise OptionError(f"the options of {cls.whose} must be an object, not {shortly(options)}")
+        declared = options_of(cls)
+        for name in options:
+            if name not in declared:
+                raise OptionError(
+                    f"there is no option {shortly(name)} of {cls.whose}; choose from {', '.join(declared)}"
+                )
+        return cls(**options, **others)
+
+    def to_message(self) -> dict[str, Any]:
+        """The options of a request to the worker: those that are not the defaults."""
+        given = {name: (getattr(self, name), each.default) for name, each in options_of(type(self)).items()}
+        return {name: _plain(value) for name, (value, default) in given.items() if value != default}
+
+    @classmethod
+    def of_arguments(cls, arguments: argparse.Namespace, **others: Any) -> Self:
+        """What a command line was told, and `others` that are no options; options that it does not have are
+        not given."""
+        given = others
+        for name, option in options_of(cls).items():
+            value = getattr(arguments, option.dest, None)
+            given[name] = value / option.units if option.unit and value is not None else value
+        return cls(**given)
+
+
+@dataclass(frozen=True)
+class CaptureOptions(Options):
+    """What a capture can be told. Raises OptionError."""
+
+    whose = "a capture"
+    frames: FrameRange | None = option(
         None, _frames, "source frames, as in 10-200:2", "A-B:S", by_default="all"
     )
-    hands: HandChoice = _option(
+    hands: HandChoice = option(
         "auto",
-        _text,
+        as_text,
         "which hands to keep",
         "CHOICE",
         choices=lambda: ("auto", "left", "right", "both"),
         closed=True,
     )
-    max_hands: int | None = _option(
+    max_hands: int | None = option(
         None,
-        _whole,
+        as_whole,
         "how many hands to keep at most, the surest first",
         "N",
         least=1,
         most=TAKE_LIMITS.max_hands,
         by_default=f"all of a photo, {CLIP_HANDS} of a clip",
     )
-    regions: tuple[Region, ...] = _option(
+    regions: tuple[Region, ...] = option(
         (),
         _regions,
         "a box in which there is a hand that was not found, in pixels, the frame that shows it there, and "
@@ -306,61 +368,61 @@ class CaptureOptions:
         repeated=True,
         by_default="none; the first frame; as it looks",
     )
-    only_regions: bool = _option(False, _flag, "keep the hands of the regions, and no others")
-    detector: str = _option("direct", _text, "what finds the hands", "NAME", choices=DETECTORS.names)
-    threshold: float = _option(
+    only_regions: bool = option(False, as_flag, "keep the hands of the regions, and no others")
+    detector: str = option("direct", as_text, "what finds the hands", "NAME", choices=DETECTORS.names)
+    threshold: float = option(
         0.5,
-        _number,
+        as_number,
         "detection threshold, 0 to 1: lower finds more hands, and more that are none",
         "T",
         least=0.0,
         most=1.0,
         called="the detection threshold",
     )
-    plain_detection: bool = _option(
-        False, _flag, "look once at the whole picture: faster for photos, misses more hands"
+    plain_detection: bool = option(
+        False, as_flag, "look once at the whole picture: faster for photos, misses more hands"
     )
-    quality: Quality = _option(
+    quality: Quality = option(
         "standard",
-        _text,
+        as_text,
         "how closely hands are looked at: draft takes 0.4 of the standard's time, and is rougher; best takes "
         "4 times as long for clips, and is a little more exact",
         "CHOICE",
         choices=lambda: get_args(Quality),
         closed=True,
     )
-    landmark_model: str | None = _option(
+    landmark_model: str | None = option(
         None, _path, "MediaPipe's hand_landmarker.task", "PATH", by_default="the one that was fetched"
     )
-    processes: int | None = _option(
+    processes: int | None = option(
         None,
-        _whole,
+        as_whole,
         "how many threads find the hands of a clip; its result is the same",
         "N",
         least=1,
         most=64,
         by_default="one a core, at most 8",
     )
-    solver: str = _option("fast", _text, "what fits the hand model", "NAME", choices=solver_names)
-    arms: bool = _option(
+    solver: str = option("fast", as_text, "what fits the hand model", "NAME", choices=solver_names)
+    arms: bool = option(
         False,
-        _flag,
+        as_flag,
         "find the arms of the hands, too, where shoulder and elbow are in the picture: takes a third longer",
     )
-    model: str | None = _option(
+    model: str | None = option(
         None, _path, "a MANO file, or a folder with both sides", "PATH", by_default="the open hand"
     )
-    smoothing: float = _option(
+    smoothing: float = option(
         USUAL_SMOOTHING,
-        _number,
+        as_number,
         "how smooth motion is, for solvers that smooth: 0 takes every frame by itself, at most 10",
         "S",
         least=0.0,
         most=MOST_SMOOTHING,
     )
-    hand_length: float | None = _option(
+    hand_length: float | None = option(
         None,
-        _number,
+        as_number,
         "length of the hand from the wrist to the tip of the middle finger",
         "MM",
         least=0.05,
@@ -371,14 +433,14 @@ class CaptureOptions:
         called="a hand's length",
         advice="; measure from the wrist to the tip of the middle finger",
     )
-    intrinsics: Intrinsics | None = _option(
+    intrinsics: Intrinsics | None = option(
         None,
         _camera,
         "the camera in pixels",
         "FX,FY,CX,CY",
         by_default="what the file tells, or one with a 53 degree view",
     )
-    lens: Lens | tuple[float, float, float] | None = _option(
+    lens: Lens | tuple[float, float, float] | None = option(
         None,
         _lens,
         "the name of a lens that was measured with the command lens; or the camera where the picture's size "
@@ -386,7 +448,7 @@ class CaptureOptions:
         "NAME|F,X,Y",
         by_default="as --intrinsics",
     )
-    view: str | None = _option(
+    view: str | None = option(
         None,
         _path,
         "a second clip of the same hands, filmed at the same time from another place by a camera that stood "
@@ -394,103 +456,102 @@ class CaptureOptions:
         "PATH",
         by_default="none",
     )
-    view_lens: Lens | tuple[float, float, float] | None = _option(
+    view_lens: Lens | tuple[float, float, float] | None = option(
         None, _lens, "the second clip's lens, as --lens", "NAME|F,X,Y", by_default="what the file tells"
     )
-    cameras: str | None = _option(
+    cameras: str | None = option(
         None,
         _path,
         "where both cameras stood, and their lenses: a calibration in aniposelib's TOML layout",
         "RIG.toml",
         by_default="found from the hands",
     )
-    offset: float | None = _option(
+    offset: float | None = option(
         None,
-        _number,
+        as_number,
         "seconds from the start of the first view to that of the second one, below 0 where that came first",
         "SECONDS",
         least=-86400.0,
         most=86400.0,
         by_default="found from the fingers",
     )
-    baseline: float | None = _option(
+    baseline: float | None = option(
         None,
-        _number,
+        as_number,
         "distance between both cameras in metres, which tells the hand's size",
         "M",
         least=0.05,
         most=20.0,
         by_default="told by the hand's size",
     )
-    max_megapixels: float | None = _option(
+    max_megapixels: float | None = option(
         None,
-        _positive,
+        as_positive,
         "largest picture or frame that is read, in megapixels",
         "M",
         by_default=f"{PICTURE}; for videos {VIDEO}",
     )
 
-    keypoints: str | None = _option(
+    keypoints: str | None = option(
         None,
         _path,
         "a file or folder with the hands or keypoints that another program has found in the input",
         "PATH",
         by_default="hands are looked for",
     )
-    reader: str | None = _option(
+    reader: str | None = option(
         None,
-        _text,
+        as_text,
         "the format of hands or keypoints of another program",
         "NAME",
         choices=_readers,
         by_default="recognised",
     )
-    order: str | None = _option(
+    order: str | None = option(
         None,
-        _text,
+        as_text,
         "the order of a hand's points in another program's file",
         "NAME",
         choices=_orders,
         closed=True,
         by_default="the program's, else as the hand's bones tell",
     )
-    person: int | None = _option(
+    person: int | None = option(
         None,
-        _whole,
+        as_whole,
         "which person's hands to read from another program's file, counted from 1 as they are in it",
         "N",
         least=1,
         by_default="all",
     )
-    fps: float | None = _option(
+    fps: float | None = option(
         None,
-        _positive,
+        as_positive,
         "frames per second of another program's file",
         "RATE",
         by_default=f"what it tells, else {DEFAULT_FPS:g}",
     )
-    picture_size: tuple[int, int] | None = _option(
+    picture_size: tuple[int, int] | None = option(
         None,
         _size,
         "the pictures' size, where another program's file does not tell it",
         "WIDTHxHEIGHT",
         by_default="what it tells",
     )
-    hand_mean: HandMean = _option(
+    hand_mean: HandMean = option(
         "auto",
-        _text,
+        as_text,
         "what MANO poses of another program's file count from: the flat hand, or the mean pose of the model",
         "CHOICE",
         choices=lambda: ("auto", "flat", "mean"),
         closed=True,
     )
-    refit: bool = _option(
-        False, _flag, "fit and smooth poses of another program anew, instead of taking them as they are"
+    refit: bool = option(
+        False, as_flag, "fit and smooth poses of another program anew, instead of taking them as they are"
     )
 
     def __post_init__(self) -> None:
-        for name, option in OPTIONS.items():
-            object.__setattr__(self, name, option.read(getattr(self, name)))
+        super().__post_init__()
         if self.lens is not None and self.intrinsics is not None:
             raise OptionError("give the camera either as intrinsics or as a lens, not both")
         told = [name for name in VIEW_OPTIONS if name != "view" and getattr(self, name) is not None]
@@ -503,18 +564,6 @@ class CaptureOptions:
                 "give either regions, in which a hand is looked for, or keypoints that another program has "
                 "found, not both"
             )
-
-    @classmethod
-    def of_message(cls, options: object) -> CaptureOptions:
-        """The options of a request to the worker. Raises OptionError also for one that does not exist."""
-        if not isinstance(options, Mapping):
-            raise OptionError(f"a capture's options must be an object, not {shortly(options)}")
-        for name in options:
-            if name not in OPTIONS:
-                raise OptionError(
-                    f"there is no option {shortly(name)} of a capture; choose from {', '.join(OPTIONS)}"
-                )
-        return cls(**options)
 
     def measured_lens(self, width: int, height: int) -> Lens | None:
         """The measured lens in pictures of that size; None where none is chosen. Raises OptionError for
@@ -557,20 +606,6 @@ class CaptureOptions:
         """What a reader of another program's files is told."""
         return ReadOptions(**{field.name: getattr(self, field.name) for field in fields(ReadOptions)})
 
-    def to_message(self) -> dict[str, Any]:
-        """The `options` of a request to the worker: those that are not the defaults."""
-        given = {name: getattr(self, name) for name in OPTIONS}
-        return {name: _plain(value) for name, value in given.items() if value != OPTIONS[name].default}
-
-    @classmethod
-    def of_arguments(cls, arguments: argparse.Namespace) -> CaptureOptions:
-        """What a command line with `add_options` was told; options that it does not have are not given."""
-        given: dict[str, Any] = {name: getattr(arguments, name, None) for name in OPTIONS}
-        for name, option in OPTIONS.items():
-            if option.unit and given[name] is not None:
-                given[name] /= option.units
-        return cls(**given)
-
 
 def _plain(value: Any) -> Any:
     """An option's value as JSON can hold it."""
@@ -585,17 +620,59 @@ def _plain(value: Any) -> Any:
     return [_plain(each) for each in value] if isinstance(value, tuple) else value
 
 
-OPTIONS: Final[dict[str, Option]] = {
-    field.name: dataclasses.replace(field.metadata["option"], name=field.name)
-    for field in fields(CaptureOptions)
-}
-"""Every option by its name"""
+@dataclass(frozen=True)
+class LiveOptions(Options):
+    """What a live run can be told. Raises OptionError."""
+
+    whose = "a live run"
+    capture: CaptureOptions = dataclasses.field(default_factory=CaptureOptions)
+    """`hands`, `hand_length`, `model`, `intrinsics`, `lens`, `threshold` and `landmark_model` count"""
+    online: bool = option(False, as_flag, "addresses of other machines may be opened")
+    size: tuple[int, int] = option(
+        (640, 480), _size, "the pictures that a camera is asked for", "WIDTHxHEIGHT", by_default="640x480"
+    )
+    fps: float = option(
+        30.0,
+        as_number,
+        "frames per second that a camera is asked for",
+        "FPS",
+        least=1.0,
+        most=1000.0,
+        spelled="--rate",
+        by_default="30",
+    )
+    loop: bool = option(False, as_flag, "begin a file again at its end")
+    min_cutoff: float = option(
+        2.0,
+        as_number,
+        "smoothing of still hands: lower is smoother, and lags",
+        "HZ",
+        least=0.01,
+        most=1000.0,
+        by_default="2",
+    )
+    """Hz, of the filter of a hand that is still"""
+    beta: float = option(
+        1.0, as_number, "how fast smoothing gives way to motion", "B", least=0.0, most=1000.0, by_default="1"
+    )
+    """Hz by which that grows for each radian a second that something turns or travels in the view"""
 
 
-def add_options(parser: argparse._ActionsContainer, names: Iterable[str] = OPTIONS) -> None:
-    """Add options to a command line; `CaptureOptions.of_arguments` reads what it was told."""
-    for name in names:
-        OPTIONS[name].add_to(parser)
+OPTIONS: Final = options_of(CaptureOptions)
+"""Every option of a capture by its name"""
+LIVE_OPTIONS: Final = options_of(LiveOptions)
+
+
+def add_options(
+    parser: argparse._ActionsContainer,
+    names: Iterable[str] | None = None,
+    of: type[Options] = CaptureOptions,
+) -> None:
+    """Add options to a command line, all of them or those of these names; `of_arguments` reads what it was
+    told."""
+    declared = options_of(of)
+    for name in declared if names is None else names:
+        declared[name].add_to(parser)
 
 
 def add_progress(parser: argparse.ArgumentParser) -> None:

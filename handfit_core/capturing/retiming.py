@@ -35,7 +35,7 @@ def check_rate(fps: float) -> None:
 
 
 def is_other_rate(scene_rate: float, fps: float) -> bool:
-    """Whether a clip of `fps` frames per second is retimed for a scene of `scene_rate`."""
+    """True if a clip of `fps` frames per second is retimed for a scene of `scene_rate`."""
     # Rates that differ less are the same
     return abs(scene_rate / fps - 1.0) >= 1e-4
 

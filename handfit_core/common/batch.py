@@ -64,6 +64,14 @@ class Batch:
 
         return self._with(**{name: put(value, getattr(rows, name)) for name, value in self._rows()})
 
+    def overwrite(self, index: Index, other: Self) -> None:
+        """Overwrite the rows at `index` with those of `other`, in place."""
+        for name, value in self._rows():
+            if isinstance(value, Batch):
+                value.overwrite(index, getattr(other, name))
+            else:
+                value[index] = getattr(other, name)[index]
+
     @classmethod
     def collect(cls, count: int, parts: Iterable[Self]) -> Self:
         """Concatenate an iterable of parts that have `count` rows together, or fewer where it ends early.

@@ -282,7 +282,7 @@ class _Following:
 
 
 def _sees_arm(body: Body) -> bool:
-    """Whether a shoulder, elbow and wrist of one side are visible."""
+    """True if a shoulder, elbow and wrist of one side are visible."""
     arms = [[of[side] for of in (SHOULDERS, ELBOWS, WRISTS)] for side in SIDES]
     return bool((body.visibility[arms].min(axis=1) > FOLLOWING.min_visibility).any())
 

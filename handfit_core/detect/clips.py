@@ -89,7 +89,7 @@ class ClipFinder(HandTracker, Detector):
         for index, hand, tracked, count in self._seen_alone:
             difference, *later = tracked.differences[count - 1 : count + 1]
             if later:
-                difference = difference.towards(later[0], index)
+                difference = difference.towards(later[0], hand)
             better = replace(difference.added_to(hand), shown=hand.shown)
             self.frames[index] = tuple(better if each is hand else each for each in self.frames[index])
         self._seen_alone = []
@@ -158,7 +158,8 @@ class ClipFinder(HandTracker, Detector):
             return tracked.last
         hand = cross_check(self._networks, rgb, tracked.last, tracked.min_presence)
         if self._networks.take_turns:
-            tracked.differences.append(Difference.of(hand, index, time))
+            last = tracked.differences[-1] if tracked.differences else None
+            tracked.differences.append(Difference.of(hand, time, last))
         return hand
 
     def _search(self, rgb: np.ndarray, index: int, lost_one: bool) -> list[TrackedHand]:

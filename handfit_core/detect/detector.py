@@ -108,7 +108,7 @@ class DetectorSettings:
     max_hands: int | None = 2
     """Hands of one picture that are wanted; None: all"""
     video: bool = False
-    """Whether the pictures are the frames of one clip, in order; else they are independent of each other"""
+    """True if the pictures are the frames of one clip, in order; else they are independent of each other"""
     threshold: float = 0.5
     """Probability that a hand must have, 0..1"""
     landmark_model: str | os.PathLike[str] | None = None
@@ -177,7 +177,7 @@ class Backend:
     detector that `open` makes gets it frame after frame, in one thread, and no cut to another shot is
     noticed"""
     calibrated: Callable[[DetectorSettings], bool] = lambda _settings: False
-    """Whether `fit.doubt` can tell how far off the hands are likely to be that it finds with these settings.
+    """True if `fit.doubt` can tell how far off the hands are likely to be that it finds with these settings.
     That was measured with MediaPipe's networks, and is not known for other keypoints"""
 
 

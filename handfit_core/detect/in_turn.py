@@ -1,8 +1,9 @@
 """Both landmark networks in turn: the fast one of December 2020 follows a hand in every frame, the present
 one runs now and then, and what both see differently is interpolated between its runs.
 
-That difference changes slowly, in sizes of the hand. It is taken anew after `seconds`, where the hand has
-changed, where the networks disagreed, and where hands are near each other.
+That difference changes slowly, in sizes of the hand. It is taken again after `seconds`, sooner where it has
+changed fast between the last two runs, where the hand's shape has changed, and where hands are near each
+other.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from typing import Final, Self
 import numpy as np
 
 from handfit_core.common.skeleton import SIDES
-from handfit_core.detect.correction.corrected import disagreement
 from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.networks import average_sized
 
@@ -22,13 +22,13 @@ from handfit_core.detect.networks import average_sized
 class InTurnSettings:
     """When the present network runs beside the one of December 2020."""
 
-    seconds: float = 4.0 / 30.0
+    seconds: float = 6.0 / 30.0
     """From one of its runs to the next, at most"""
-    max_change: float = 0.06
-    """Sizes of the hand that its points have moved about their mean since then, on average"""
-    agreement: float = 0.1
-    """Mean lengths of bones that both networks' points were apart in the picture; beyond it runs sooner,
-    by the fourth power"""
+    max_drift: float = 0.06
+    """Sizes of the hand by which the difference may change until the next run, if it goes on changing as
+    fast as before"""
+    max_change: float = 0.05
+    """Sizes of the hand that its points have moved about their mean since the last run, on average"""
     min_presence: float = 0.9
     """Presence by the network of December 2020, below which the present one decides"""
     near: float = 1.0
@@ -42,12 +42,10 @@ IN_TURN: Final = InTurnSettings()
 class Difference:
     """What the present network sees of a hand beyond what the one of December 2020 does, in one frame."""
 
-    frame: float
-    """Counted from the clip's first"""
     time: float
     """Seconds"""
-    disagreement: float
-    """Mean lengths of bones"""
+    lasts: float
+    """Seconds until it is to be taken again, at most"""
     extent: float
     """Pixels; the hand's size by the network of December 2020"""
     shape: np.ndarray
@@ -60,29 +58,35 @@ class Difference:
     """Score of the right side by the present network"""
 
     @classmethod
-    def of(cls, hand: Detections, frame: int, time: float) -> Self:
-        """The difference of a hand that both have seen in that frame."""
+    def of(cls, hand: Detections, time: float, before: Self | None = None) -> Self:
+        """The difference of a hand that both have seen at that time; `before` is the hand's last one."""
         points, by_2020 = hand.keypoints[0], _points_2020(hand)
         extent = _extent(by_2020)
         right = hand.side[0] == SIDES.index("right")
+        keypoints, lasts = (points - by_2020) / extent, IN_TURN.seconds
+        if before is not None:
+            drift = float(np.linalg.norm(keypoints - before.keypoints, axis=-1).mean())
+            lasts = min(lasts, (time - before.time) * IN_TURN.max_drift / max(drift, 1e-9))
         return cls(
-            frame=frame,
             time=time,
-            disagreement=float(disagreement(points[None], by_2020[None])[0]),
+            lasts=lasts,
             extent=extent,
             shape=_about_mean(by_2020) / extent,
-            keypoints=(points - by_2020) / extent,
+            keypoints=keypoints,
             world=hand.world[0] - average_sized(by_2020),
             right=float(hand.score[0] if right else 1.0 - hand.score[0]),
         )
 
     def is_due(self, hand: Detections, time: float) -> bool:
-        """True if it is to be taken anew of a hand that the network of December 2020 sees at that time."""
-        sooner = min(1.0, (IN_TURN.agreement / max(self.disagreement, 1e-9)) ** 4)
-        if time - self.time > IN_TURN.seconds * sooner - 1e-3:
+        """True if it is to be taken again of a hand that the network of December 2020 sees at that time."""
+        if time - self.time > self.lasts - 1e-3:
             return True
+        return self._change(hand) > IN_TURN.max_change
+
+    def _change(self, hand: Detections) -> float:
+        """Sizes of the hand by which its points have moved about their mean since then, on average."""
         moved = _about_mean(_points_2020(hand)) / self.extent - self.shape
-        return float(np.linalg.norm(moved, axis=-1).mean()) > IN_TURN.max_change
+        return float(np.linalg.norm(moved, axis=-1).mean())
 
     def added_to(self, hand: Detections) -> Detections:
         """A hand that only the network of December 2020 has seen, as both are likely to see it."""
@@ -95,9 +99,11 @@ class Difference:
             world=(average_sized(by_2020) + self.world)[None],
         )
 
-    def towards(self, other: Self, frame: int) -> Self:
-        """The difference in a frame between this one's and the other one's."""
-        share = (frame - self.frame) / (other.frame - self.frame)
+    def towards(self, other: Self, hand: Detections) -> Self:
+        """The difference of the hand in a frame between this one's and the other one's, nearer to that in
+        which the hand's shape is more alike: it is a better guide than time."""
+        since, until = self._change(hand) + 1e-9, other._change(hand) + 1e-9
+        share = since / (since + until)
         values = {
             each.name: (1.0 - share) * getattr(self, each.name) + share * getattr(other, each.name)
             for each in fields(self)

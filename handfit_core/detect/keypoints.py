@@ -229,7 +229,8 @@ _UNKNOWN: Final = {
 @cache
 def _none(cls: type[Detections]) -> Any:
     """Detections of no hand."""
-    return cls(**{name: _joined(name, spec, []) for name, spec in declared(cls).items()})
+    columns: dict[str, Any] = {name: _joined(name, spec, []) for name, spec in declared(cls).items()}
+    return cls(**columns)
 
 
 def _parts(frame: Iterable[Detections]) -> Iterable[Detections]:
@@ -275,7 +276,7 @@ class Track:
     landmarks: Landmarks | None = None
     """Where on a hand its keypoints lie; None: where the detector sees them"""
     calibrated: bool = True
-    """Whether `fit.doubt` can tell how far off a fit to them is likely to be (`Backend.calibrated`)"""
+    """True if `fit.doubt` can tell how far off a fit to them is likely to be (`Backend.calibrated`)"""
 
     @property
     def detected(self) -> np.ndarray:

@@ -159,7 +159,7 @@ def landmarks_2020_path() -> Path | None:
 
 @lru_cache
 def _is_landmarks_2020(path: Path) -> bool:
-    """Whether a file is the landmark network of December 2020. Warns once where it is not."""
+    """True if a file is the landmark network of December 2020. Warns once where it is not."""
     try:
         found = hashlib.sha256(read_file(path, NETWORK_2020.max_bytes)).hexdigest()
     except OSError as error:
@@ -177,7 +177,7 @@ def _is_landmarks_2020(path: Path) -> bool:
 
 
 def is_calibrated(explicit: str | os.PathLike[str] | None = None) -> bool:
-    """Whether the model file to use holds the networks with which the expected errors were calibrated,
+    """True if the model file to use holds the networks with which the expected errors were calibrated,
     wherever it lies and whoever zipped it. Raises LandmarkModelError where there is none."""
     try:
         with zipfile.ZipFile(landmark_model_path(explicit)) as task:

@@ -12,13 +12,11 @@ from __future__ import annotations
 import os
 import sys
 import zipfile
-from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import islice
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, Final, Self, TypeVar
@@ -26,8 +24,8 @@ from typing import Any, Final, Self, TypeVar
 import numpy as np
 
 from handfit_core.common.errors import LandmarkModelError
-from handfit_core.common.machine import usable_cores
-from handfit_core.common.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS
+from handfit_core.common.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, SIDES
+from handfit_core.common.threads import in_pool, usable_threads
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import Quality
 from handfit_core.detect.keypoints import Detections
@@ -273,17 +271,7 @@ class Networks(Runner):
             self._pool = ThreadPoolExecutor(self.threads, "handfit-networks")
             for networks in (self, *[None] * (self.threads - 1)):
                 self._idle.put(networks)
-        waiting = iter(items)
-        futures = deque(
-            self._pool.submit(self._call, function, item) for item in islice(waiting, 2 * self.threads)
-        )
-        try:
-            while futures:
-                yield futures.popleft().result()
-                futures.extend(self._pool.submit(self._call, function, item) for item in islice(waiting, 1))
-        finally:
-            for future in futures:
-                future.cancel()
+        yield from in_pool(self._pool, lambda item: self._call(function, item), items, 2 * self.threads)
 
     def _call(self, function: Callable[[Networks, Item], Result], item: Item) -> Result:
         """Call a function with networks that no other thread uses."""
@@ -319,9 +307,10 @@ class Networks(Runner):
         drafts, or with `by_2020`, the one of December 2020, whose world landmarks are its keypoints at the
         size of an average hand. Returns one hand, whose `certainty` is its presence, the probability that the
         crop shows a hand, and whose `score` is that of the side."""
-        if self._rendered is None or self._rendered[0] is not rgb or self._rendered[1] is not crop:
-            self._rendered = rgb, crop, crop.render(rgb)
-        pixels = self._rendered[2]
+        rendered = self._rendered
+        if rendered is None or rendered[0] is not rgb or rendered[1] is not crop:
+            rendered = self._rendered = rgb, crop, crop.render(rgb)
+        pixels = rendered[2]
         by_2020 = by_2020 or self.is_draft
         if by_2020:
             landmarks, (presence,), (right,) = self._run(self._hand_2020, pixels)
@@ -332,14 +321,15 @@ class Networks(Runner):
         else:
             landmarks, (presence,), (right,), world = self._run(self._hand, pixels)
             keypoints, world = _with_depth(landmarks), world.reshape(NUM_KEYPOINTS, 3).astype(np.float64)
-        keypoints = crop.points_to_picture(keypoints)
-        return Detections.hand(
-            side="right" if (right >= 0.5) != crop.mirrored else "left",
-            score=max(float(right), 1.0 - float(right)),
+        keypoints = crop.points_to_picture(keypoints)[None]
+        return Detections(
+            frame=np.zeros(1, dtype=np.int64),
+            side=np.array([SIDES.index("right" if (right >= 0.5) != crop.mirrored else "left")]),
+            score=np.array([max(float(right), 1.0 - float(right))]),
             keypoints=keypoints,
-            world=crop.world_to_picture(world),
+            world=crop.world_to_picture(world)[None],
             keypoints_2020=keypoints if by_2020 else None,
-            certainty=float(presence),
+            certainty=np.array([float(presence)]),
         )
 
     @property
@@ -386,13 +376,6 @@ def _drop_import_tracebacks() -> None:
     while isinstance(error, BaseException):
         error.__traceback__ = None
         error = error.__context__
-
-
-def usable_threads() -> int:
-    """How many threads may run networks at the same time: one a core, or fewer by OMP_NUM_THREADS."""
-    limit = os.environ.get("OMP_NUM_THREADS", "")
-    cores = usable_cores()
-    return max(1, min(cores, int(limit) if limit.isdecimal() else cores))
 
 
 @lru_cache

@@ -449,7 +449,7 @@ def _is_same(a: Detections, b: Detections) -> bool:
 
 
 def _fits_box(hand: Detections, middle: np.ndarray, size: np.ndarray) -> bool:
-    """Whether a hand lies in a box with that middle and size, and is about as large."""
+    """True if a hand lies in a box with that middle and size, and is about as large."""
     off, longer = np.abs((hand.box_min[0] + hand.box_max[0]) / 2.0 - middle), float(size.max())
     return bool((off < size / 2.0 + 0.1 * longer).all()) and 0.45 < hand.extent[0] / longer < 2.0
 

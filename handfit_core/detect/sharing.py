@@ -10,8 +10,8 @@ from queue import SimpleQueue
 from threading import Event
 from typing import Final
 
+from handfit_core.common.threads import usable_threads
 from handfit_core.detect.detector import InChunks, Part
-from handfit_core.detect.networks import usable_threads
 from handfit_core.media.opening import open_media
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
@@ -64,6 +64,8 @@ def _in_threads(
     def work(number: int) -> None:
         with nullcontext(detector) if number == 0 else another(_reopened(detector.media)) as own:
             own.single_threaded()
+            # More would only wait for each other.
+            own.media.limit_threads(max(1, usable_threads() // count))
             while not ended.is_set():
                 index = next(indices)
                 if number > 0 and 0 < detector.media.expected_frames <= index * MEDIA.chunk_frames:

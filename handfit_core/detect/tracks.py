@@ -100,7 +100,7 @@ class _OpenTrack:
 
     @property
     def shown(self) -> bool:
-        """Whether a person has said that it is there."""
+        """True if a person has said that it is there."""
         return bool(self.hands.shown[self.rows].any())
 
     def add(self, row: int) -> None:

@@ -40,11 +40,11 @@ from handfit_core.common.arrays import (
 from handfit_core.common.errors import TakeError
 from handfit_core.common.skeleton import NUM_JOINTS, NUM_KEYPOINTS, can_touch
 from handfit_core.common.values import Unfit, number
-from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotvec_to_quat
+from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotvec_to_quat, smoothstep
 
 FORMAT_VERSION: Final = 1
 _ALWAYS_KEPT: Final = ("pins", "spread", "added_key")
-"""What every correction's text has; of other values and arrays, what is not empty"""
+"""Fields that every correction's text has; the others are left out where they are empty"""
 
 _MIN_CHANGE: Final = 0.01
 """radians, or tenths of a metre, from which a change shows whether a key is the corrected one"""
@@ -102,7 +102,7 @@ class Correction:
     spread: float = value(_spread, default=0.0)
     """frames over which it fades out, before and after"""
     added_key: bool = value(_yes, default=False)
-    """Whether the frame had no key before, so that its key goes with the correction"""
+    """True if the frame had no key before, so that its key goes with the correction"""
     start_rotation: np.ndarray = array(NUM_JOINTS, 3, finite="all", default=0.0)
     """What its neighbours' corrections did here when it was made: the part of `rotation` that pins
     are not answerable for, and that stays when they change"""
@@ -113,11 +113,11 @@ class Correction:
     place: np.ndarray = array(3, finite="all", default=0.0)
     """metres: the key's location of the wrist when it was made; zeros: unknown"""
     keyed: bool = value(_yes, default=False)
-    """Whether the frame was keyed anew, so that without this correction the field is zero there"""
+    """True if the frame was keyed anew, so that without this correction the field is zero there"""
     posed: bool = value(_yes, default=False)
-    """Whether the artist gave the frame a pose before any pin: then pins are measured against that pose"""
+    """True if the artist gave the frame a pose before any pin: then pins are measured against that pose"""
     begins: bool = value(_yes, default=False)
-    """Whether a pose begins here that the frames after it may go on with"""
+    """True if a pose begins here that the frames after it may go on with"""
     touches: Touches = value(_touches, default=())
     """Keypoints that were made to touch"""
 
@@ -128,11 +128,11 @@ class Correction:
 
     @property
     def is_anchor(self) -> bool:
-        """Whether it is no correction of the artist's, and only ends those around it."""
+        """True if it is no correction by the artist, and only ends those around it."""
         return self.keyed and not self.placed and not self.posed
 
     def is_in(self, pose: np.ndarray, place: np.ndarray) -> bool:
-        """Whether the frame's key, (16, 4) and (3,), can still hold it: most of what it turned or moved is
+        """True if the frame's key, (16, 4) and (3,), can still hold it: most of what it turned or moved is
         where it was put. Else keys were moved in time, or another pose was keyed."""
         if not np.any(self.pose):
             return True
@@ -145,7 +145,7 @@ class Correction:
 
     @property
     def changes(self) -> bool:
-        """Whether it does anything to keys."""
+        """True if it does anything to keys."""
         return bool(np.any(self.rotation) or np.any(self.location))
 
     def __post_init__(self) -> None:
@@ -294,7 +294,7 @@ class CorrectionField:
             return ""
         kept = {
             str(frame): {
-                **{n: held for n in declared_values(c) if (held := getattr(c, n)) or n in _ALWAYS_KEPT},
+                **{n: given for n in declared_values(c) if (given := getattr(c, n)) or n in _ALWAYS_KEPT},
                 **{name: rows.tolist() for name, rows in arrays_of(c).items() if np.any(rows)},
             }
             for frame, c in sorted(self.corrections.items())
@@ -354,7 +354,7 @@ def changed_segments(old: CorrectionField, new: CorrectionField) -> list[tuple[f
 
 
 def _equal(one: Correction, other: Correction) -> bool:
-    """Whether both change keys alike; pins do not matter."""
+    """True if both change keys alike; pins do not matter."""
     return (
         one.spread == other.spread
         and np.array_equal(one.rotation, other.rotation)
@@ -376,8 +376,7 @@ def _correction(content: Mapping[str, Any]) -> Correction:
 
 def fade(part: np.ndarray) -> np.ndarray:
     """Smoothstep from 1 at 0 to 0 at 1 and beyond."""
-    part = np.clip(part, 0.0, 1.0)
-    return 1.0 - part * part * (3.0 - 2.0 * part)
+    return 1.0 - smoothstep(part)
 
 
 def changed_quats(quats: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ from handfit_core.hand_model.chain import State
 
 
 def is_free(pins: np.ndarray) -> np.ndarray:
-    """(N, 21, 2) pins in pixels -> (N,) bool: whether they determine how a hand lies, whatever pose it
+    """(N, 21, 2) pins in pixels -> (N,) bool: true if they determine how a hand lies, whatever pose it
     has."""
     palm = np.isfinite(pins[:, list(PALM_KEYPOINTS)]).all(axis=2)
     return np.asarray(palm.sum(axis=1) >= EDITS.min_palm_pins)
@@ -47,10 +47,10 @@ def pose_from_pins(
     """
     at = np.asarray(np.isfinite(pins).all(axis=1))
     start = _starts(fitter, intrinsics, pins, at, own)
-    count, held = len(start), None
+    count, fixed = len(start), None
     if locked.any():
-        held = FixedJoints(np.tile(locked, (count, 1)), own.select(np.zeros(count, dtype=int)))
-        start = held.put(start)
+        fixed = FixedJoints(np.tile(locked, (count, 1)), own.select(np.zeros(count, dtype=int)))
+        start = fixed.put(start)
     points = fitter.chain.points(start)
     loose = pinning.landmarks_of_pose(points, intrinsics)
     loosely = np.where(
@@ -65,26 +65,20 @@ def pose_from_pins(
         pinned=np.tile(at, (count, 1)),
     )
     away = np.linalg.norm(own.wrist) / np.linalg.norm(start.wrist, axis=1, keepdims=True)
-    kept = PoseAnchor(
-        start.wrist * away,
-        np.full(count, EDITS.distance_sigma),
-        start.angles,
-        np.full((count, 5), np.inf),
-        np.full(count, np.nan),
-    )
-    seen = replace(observation_of(seen, intrinsics), kept=kept)
+    anchor = PoseAnchor.at(replace(start, wrist=start.wrist * away), EDITS.distance_sigma)
+    seen = replace(observation_of(seen, intrinsics), anchor=anchor)
     # Pins that are all but exact are hard to follow from far away, so the best hands come nearer in steps.
     for nearness, left in ((EDITS.first_pin_sigma, 4), (0.2 * EDITS.first_pin_sigma, 2), (0.0, 1)):
         least = nearness * pinning.hand_sizes(seen.pixels)[:, None, None]
         about = replace(seen, pixel_sigma=np.maximum(seen.pixel_sigma, least))
-        problem = replace(fitter.problem(about, held=held), angle_bounds=fitter.angle_bounds)
+        problem = replace(fitter.problem(about, fixed=fixed), angle_bounds=fitter.angle_bounds)
         solution = fitter.solve_each(problem, start, max_iterations)
         # The axis of the root that points out of the back of the hand
         same_side = solution.state.root[..., 1] @ own.root[0, :, 1]
         cost = np.nan_to_num(solution.cost, nan=np.inf, posinf=np.inf)
         best = (cost + EDITS.turned_over_cost * (1.0 - same_side) / 2.0).argsort(kind="stable")[:left]
         start, seen = solution.state.select(best), seen.select(best)
-        held = None if held is None else held.select(best)
+        fixed = None if fixed is None else fixed.select(best)
     return replace(start, angles=_with_neighbours_bends(fitter, start.angles, own.angles, at, locked))
 
 

@@ -11,7 +11,15 @@ from handfit_core.common.skeleton import JOINTS_BY_FINGER
 from handfit_core.edit import pins as pinning
 from handfit_core.edit.hand import Prop, RefineHand
 from handfit_core.edit.settings import EDITS, GRIPS
-from handfit_core.edit.solving import _cheapest, _check, _chunks, _held, _posed, _poses, _with_held
+from handfit_core.edit.solving import (
+    cheapest,
+    check_stop,
+    chunks_of,
+    fixed_at,
+    posed_in_front,
+    states_of,
+    with_fixed,
+)
 from handfit_core.fit.fast import FastFitter, fitter_of
 from handfit_core.fit.grip import Grip, SkinVertices, Spheres
 from handfit_core.fit.observation import PoseAnchor, observation_of
@@ -27,36 +35,36 @@ def solve_grip(hand: RefineHand, prop: Prop, model: HandModel, should_stop: Shou
     """All frames (T), each laid on the prop by itself; the wrist moves in all of them or in none."""
     if len(prop.placed) != len(hand):
         raise OptionError(f"prop: placed has {len(prop.placed)} rows, expected {len(hand)}")
-    posed, points = _posed(hand, model)
+    posed, points = posed_in_front(hand, model)
     pose = [np.where(posed[:, None], np.asarray(rows, dtype=np.float64), np.nan) for rows in hand.pose]
-    held, rows = np.tile(posed[:, None], 16), np.flatnonzero(posed)
+    fixed, rows = np.tile(posed[:, None], 16), np.flatnonzero(posed)
     corners = outward(prop.vertices, prop.triangles)
     if not len(rows):
-        return _with_held(hand, held, pose)
+        return with_fixed(hand, fixed, pose)
     turn, place = prop.placed[..., :3], prop.placed[..., 3]
     seen_from = (points[rows] - place[rows, None]) @ turn[rows]
     low, high = (pick(seen_from, axis=(0, 1)) for pick in (np.min, np.max))
     surface = PropSurface(corners, low - GRIPS.margin, high + GRIPS.margin)
     if not len(surface):
-        return _with_held(hand, held, pose)
+        return with_fixed(hand, fixed, pose)
     fitter = fitter_of(model)
-    own = _poses(fitter, hand, hand, posed[rows], rows)
+    own = states_of(fitter, hand, hand, posed[rows], rows)
     nothing = np.zeros((len(rows), 10))
     grip = Grip(surface, Spheres(fitter.surface), turn[rows], place[rows], nothing, own, GRIPS.margin)
     grip, joints = _wanted(fitter, grip, prop.fingers)
-    held[rows] = joints | np.asarray(hand.locked, dtype=bool)
-    busy = np.flatnonzero(~held[rows].all(axis=1))
-    for _, part in _chunks(busy):
-        _check(should_stop)
+    fixed[rows] = joints | np.asarray(hand.locked, dtype=bool)
+    busy = np.flatnonzero(~fixed[rows].all(axis=1))
+    for _, part in chunks_of(busy):
+        check_stop(should_stop)
         at = busy[part]
-        state = _laid(fitter, hand.intrinsics, grip.select(at), held[rows[at]])
+        state = _laid(fitter, hand.intrinsics, grip.select(at), fixed[rows[at]])
         for all_rows, found in zip(pose, fitter.chain.parameters(state)[1:], strict=True):
             all_rows[rows[at]] = found
-    return _with_held(hand, held, pose)
+    return with_fixed(hand, fixed, pose)
 
 
 def _wanted(fitter: FastFitter, grip: Grip, fingers: np.ndarray) -> tuple[Grip, np.ndarray]:
-    """The grip with what is drawn to the prop, and the joints (B, 16) bool that are held."""
+    """The grip with what is drawn to the prop, and the joints (B, 16) bool that are fixed."""
     posed, points = fitter.chain.pose(grip.captured), grip.points
     gaps = grip.gaps(posed)[1]
     skin = SkinVertices(fitter.chain, np.flatnonzero(fitter.model.weights.argmax(axis=1) == 0))
@@ -73,31 +81,27 @@ def _wanted(fitter: FastFitter, grip: Grip, fingers: np.ndarray) -> tuple[Grip, 
     drawn[..., 0] *= GRIPS.middle_share * drawn[..., 1]
     of_finger = (points.finger == np.arange(5)[:, None]) & ~points.palm
     sunk = np.stack([(gaps[:, own] < 0.0).any(axis=1) for own in of_finger], axis=1) & fingers
-    held = np.ones((len(gaps), 16), dtype=bool)
-    held[:, 0] = palm <= GRIPS.palm_gives_way
-    held[:, JOINTS_BY_FINGER] = ~((drawn[..., 1] > 0.0) | sunk)[..., None]
-    return replace(grip, drawn=drawn.reshape(-1, 10)), held
+    fixed = np.ones((len(gaps), 16), dtype=bool)
+    fixed[:, 0] = palm <= GRIPS.palm_gives_way
+    fixed[:, JOINTS_BY_FINGER] = ~((drawn[..., 1] > 0.0) | sunk)[..., None]
+    return replace(grip, drawn=drawn.reshape(-1, 10)), fixed
 
 
 def _laid(fitter: FastFitter, intrinsics: Intrinsics, grip: Grip, joints: np.ndarray) -> State:
-    """B hands laid on the prop, but for the `joints` (B, 16) bool that are held."""
-    own, held = grip.captured, _held(joints, grip.captured)
+    """B hands laid on the prop, but for the `joints` (B, 16) bool that are fixed."""
+    own, fixed = grip.captured, fixed_at(joints, grip.captured)
     seen = pinning.landmarks_of_pose(fitter.chain.points(own), intrinsics)
     seen = replace(
         seen, pixel_sigma=GRIPS.loosened * seen.pixel_sigma, depth_sigma=GRIPS.loosened * seen.depth_sigma
     )
-    count = len(own)
-    kept = PoseAnchor(
-        own.wrist, np.full(count, np.inf), own.angles, np.full((count, 5), GRIPS.angle_sigma),
-        np.full(count, pinning.PINS.limits_sigma),
-    )  # fmt: skip
-    observed = replace(observation_of(seen, intrinsics), kept=kept, grip=grip)
+    anchor = PoseAnchor.at(own, angle_sigma=GRIPS.angle_sigma, limits_sigma=pinning.PINS.limits_sigma)
+    observed = replace(observation_of(seen, intrinsics), anchor=anchor, grip=grip)
     along = (fitter.chain.points(own) * observed.ray[:, None]).sum(axis=2).mean(axis=1)
     start = replace(own, depth_zero=along)
-    start = _cheapest(fitter, observed, [start], held, EDITS.max_iterations, solid=True).state
+    start = cheapest(fitter, observed, [start], fixed, EDITS.max_iterations, solid=True).state
     every = SkinVertices(fitter.chain, np.arange(len(fitter.model.v_template)))
     skin = replace(grip, points=every, within=GRIPS.skin_reach)
     near = np.isfinite(skin.gaps(fitter.chain.pose(start))[1]).any(axis=0)
     skin = replace(skin, points=SkinVertices(fitter.chain, np.flatnonzero(near)))
     observed = replace(observed, grip=skin)
-    return _cheapest(fitter, observed, [start], held, EDITS.max_iterations, solid=True).state
+    return cheapest(fitter, observed, [start], fixed, EDITS.max_iterations, solid=True).state

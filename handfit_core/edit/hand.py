@@ -122,7 +122,7 @@ class RefineHand(HandMotion):
     holes: tuple[int, ...] = value(partial(listed, kind=_row), default=())
     """Rows after which the source lacks pictures: nothing is smoothed across"""
     added: bool = value(flag, default=False)
-    """Whether a person laid it into the picture: its pose is a guess until pins say how it lies"""
+    """True if a person laid it into the picture: its pose is a guess until pins say how it lies"""
     touches: np.ndarray | None = array("T", NUM_KEYPOINTS, most=np.inf, default=None)
     """Which other keypoint each one touches, skin to skin, the larger naming the smaller; 0 stands
     for the palm, wherever it is nearest. A negative one: the bones that end at both touch, wherever they are

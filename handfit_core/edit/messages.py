@@ -102,7 +102,7 @@ def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any
 
 
 def _drag(hand: RefineHand) -> tuple[object, ...]:
-    """What stays the same during a drag: the frame, the pose that it began from, the shape and the locks."""
+    """The part of a hand that a drag does not change: frame, first pose, shape and locks."""
     arrays = [hand.betas, *hand.pose, hand.locked, hand.detections.keypoints]
     numbers = (np.asarray(a, dtype=np.float64).tobytes() for a in arrays)
     return (hand.side, hand.model, hand.intrinsics, len(hand), *numbers)

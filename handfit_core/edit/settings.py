@@ -16,8 +16,8 @@ class PinSettings:
     reached_pixels: float = 0.5
     """Distance from its pin up to which a point has reached it"""
     limits_sigma: float = math.radians(0.3)
-    """radians beyond the passive range, see `Kept.limits_sigma`: pins are surer than a capture's landmarks,
-    and would bend fingers far beyond it"""
+    """radians beyond the passive range, as in `PoseAnchor`: pins are surer than a capture's landmarks, and
+    would bend fingers far beyond it"""
     pose_sigma: float = 0.005
     """Expected error in the picture of the landmarks of a corrected pose, in parts of the hand's size"""
     pose_depth_sigma: float = 0.02

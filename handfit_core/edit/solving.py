@@ -24,7 +24,6 @@ from handfit_core.fit.observation import (
     Observation,
     PoseAnchor,
     SecondView,
-    anchored_at_distance,
     observation_of,
 )
 from handfit_core.fit.problem import FixedJoints
@@ -51,27 +50,27 @@ def solve_each(
 
     `draft`: a few steps from `guess`, or from the frame's own pose where there is none.
     """
-    posed, points = _posed(hand, model)
+    posed, points = posed_in_front(hand, model)
     pose = [np.where(posed[:, None], np.asarray(rows, dtype=np.float64), np.nan) for rows in hand.pose]
-    fitter, held = fitter_of(model), posed[:, None] & np.asarray(hand.locked, dtype=bool)
+    fitter, fixed = fitter_of(model), posed[:, None] & np.asarray(hand.locked, dtype=bool)
     free = posed & is_free(hand.pins) & hand.added
     for row in np.flatnonzero(free):
-        own = _poses(fitter, hand, hand, posed[[row]], np.array([row]))
+        own = states_of(fitter, hand, hand, posed[[row]], np.array([row]))
         most = EDITS.free_draft_iterations if draft else EDITS.max_iterations
-        state = pose_from_pins(fitter, hand.intrinsics, hand.pins[row], own, held[row], most)
+        state = pose_from_pins(fitter, hand.intrinsics, hand.pins[row], own, fixed[row], most)
         for all_rows, found in zip(pose, fitter.chain.parameters(state)[1:], strict=True):
             all_rows[row] = found[0]
     if free[hand.touching].any():
         # Once its pins have posed an added hand, it is corrected like others.
         hand = hand.with_pose(*pose)
-        posed, points = _posed(hand, model)
+        posed, points = posed_in_front(hand, model)
     corrected = (hand.pinned.any(axis=1) & ~free) | hand.touching
     rows = np.flatnonzero(np.where(posed, corrected, hand.detected))
     if not len(rows):
-        return _with_held(hand, held, pose)
+        return with_fixed(hand, fixed, pose)
     detected = _landmarks(hand, rows)
     seen = pinning.landmarks_of_pose(points[rows], hand.intrinsics).where(posed[rows], detected)
-    for at, part in _chunks(rows):
+    for at, part in chunks_of(rows):
         observed = observation_of(seen.select(part), hand.intrinsics)
         own = _start(fitter, hand, hand, posed[at], observed, at)
         near = own if draft else None
@@ -79,13 +78,13 @@ def solve_each(
             there = guess.present[at]
             near = _start(fitter, hand, guess, there, observed, at).where(there, own)
         frames = _Frames(
-            fitter, hand.intrinsics, hand.pins[at], posed[at], held[at],
+            fitter, hand.intrinsics, hand.pins[at], posed[at], fixed[at],
             seen.select(part), detected.select(part), own, near, _touches(hand, at),
         )  # fmt: skip
-        state, held[at] = frames.corrected()
+        state, fixed[at] = frames.corrected()
         for all_rows, found in zip(pose, fitter.chain.parameters(state)[1:], strict=True):
             all_rows[at] = found
-    return _with_held(hand, held, pose)
+    return with_fixed(hand, fixed, pose)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,11 +112,11 @@ class _Frames(Batch):
 
     def corrected(self) -> tuple[State, np.ndarray]:
         """Their poses, and which joints (B, 16) bool have not moved."""
-        state, held = self.own, self.locked | self.posed[:, None]
+        state, fixed = self.own, self.locked | self.posed[:, None]
         alone = np.flatnonzero(self.posed & ~self._idle.all(axis=1))
         if len(alone):
             some = self.select(alone)
-            found, held[alone] = some._solve_fingers()
+            found, fixed[alone] = some._solve_fingers()
             state = state.replaced(alone, found)
         points = self.fitter.chain.points(state)
         seen = pinning.landmarks_of_pose(points, self.intrinsics).where(self.posed, self.seen)
@@ -126,9 +125,9 @@ class _Frames(Batch):
         palm = np.flatnonzero(fall_short | ~self.posed)
         if len(palm):
             some = self.select(palm)
-            found, held[palm] = some._solve_palm(state.select(palm), seen.select(palm), left[palm])
+            found, fixed[palm] = some._solve_palm(state.select(palm), seen.select(palm), left[palm])
             state = state.replaced(palm, found)
-        return state, held
+        return state, fixed
 
     @property
     def _touching(self) -> np.ndarray:
@@ -147,9 +146,9 @@ class _Frames(Batch):
         return pinning.unpinned_fingers(self.pins) & ~self._touching
 
     def _solve_fingers(self) -> tuple[State, np.ndarray]:
-        """Fit the fingers with pins beyond their knuckles, and those that touch; all else is held.
+        """Fit the fingers with pins beyond their knuckles, and those that touch; all else is fixed.
 
-        Returns their poses, and the joints (B, 16) bool that were held.
+        Returns their poses, and the joints (B, 16) bool that were fixed.
         """
         pins = pinning.finger_pins(self.pins)
         displaced = pinning.displacement(pins, self.seen.pixels)
@@ -158,12 +157,12 @@ class _Frames(Batch):
         touched = self.fitter, self.intrinsics, self.own, self.touches, displaced
         uncertainty = pinning.propagate(_with_touches(*touched))
         seen = pinning.apply_pins(seen, pins, pinning.propagate(_with_touches(*touched, seen=True)))
-        held = self.locked | _joints(np.ones(len(pins), dtype=bool), self._idle)
+        fixed = self.locked | _joints(np.ones(len(pins), dtype=bool), self._idle)
         free_distance = np.full(len(pins), np.inf)
         # A pin that a finger cannot reach must not pull it beyond what joints can do.
         seen = replace(seen, pinned=None)
         start = self.own if self.near is None else replace(self.own, angles=self.near.angles)
-        found = self._solved(seen, self.own, free_distance, uncertainty, held, [start])
+        found = self._solved(seen, self.own, free_distance, uncertainty, fixed, [start])
         if self.near is None:
             if self.touches is not None:
                 # Frames in which the same points touch do so in the same way, and one between two others as
@@ -175,24 +174,24 @@ class _Frames(Batch):
                 for rows in filter(len, groups):
                     bends[rows] = np.median((found.angles - self.own.angles)[rows], axis=0)
                 start = replace(self.own, angles=self.own.angles + bends)
-                found = self._solved(seen, self.own, free_distance, uncertainty, held, [start])
+                found = self._solved(seen, self.own, free_distance, uncertainty, fixed, [start])
                 bends = found.angles - self.own.angles
                 for rows in filter(len, groups):
                     beside = bends[[rows[0], *rows[:-1]]], bends[[*rows[1:], rows[-1]]]
                     bends[rows] = np.median([*beside, bends[rows]], axis=0)
                 start = replace(self.own, angles=self.own.angles + bends)
-                found = self._solved(seen, start, free_distance, uncertainty, held, [start])
+                found = self._solved(seen, start, free_distance, uncertainty, fixed, [start])
             points = self.fitter.chain.points(found)
             left = pinning.displacement(pins, self.intrinsics.project(points))
             short = np.flatnonzero(left.max(axis=1) > pinning.PINS.reached_pixels)
             if len(short):
                 some, kept = self.select(short), self.own.select(short)
                 starts = [found.select(short), *some._restart_poses()]
-                own = uncertainty[short], held[short], starts
+                own = uncertainty[short], fixed[short], starts
                 found = found.replaced(
                     short, some._solved(seen.select(short), kept, free_distance[short], *own)
                 )
-        return found, held
+        return found, fixed
 
     def _restart_poses(self) -> list[State]:
         """The hands with their fingers bent as in `restart_bends`, for fingers that are stuck on their
@@ -212,7 +211,7 @@ class _Frames(Batch):
         """Fit palm and fingers from the pose `reached` by the fingers alone, whose landmarks are `seen`;
         `left` are the pixels (B, 21) from there to the pins.
 
-        Returns their poses, and the joints (B, 16) bool that were held.
+        Returns their poses, and the joints (B, 16) bool that were fixed.
         """
         size = pinning.hand_sizes(seen.pixels)
         uncertainty = pinning.propagate(
@@ -224,7 +223,7 @@ class _Frames(Batch):
             pinning.blend_to_detection(seen, self.detected, forget), self.pins, uncertainty
         )
         still = pinning.unmoved_fingers(uncertainty) & self._idle
-        held = self.locked | _joints(np.zeros(len(uncertainty), dtype=bool), self.posed[:, None] & still)
+        fixed = self.locked | _joints(np.zeros(len(uncertainty), dtype=bool), self.posed[:, None] & still)
         # A finger draws the hand along as it is; wrist and knuckles rather turn it.
         starts = [self._shifted(reached, seen.pixels)]
         turns = pinning.palm_displacement(left).any(axis=1)
@@ -232,7 +231,7 @@ class _Frames(Batch):
             starts.insert(0, replace(self.near, angles=reached.angles))
         elif turns.any():
             starts.insert(0, reached.where(np.asarray(turns), starts[0]))
-        return self._solved(aim, reached, distance_sigma, uncertainty, held, starts), held
+        return self._solved(aim, reached, distance_sigma, uncertainty, fixed, starts), fixed
 
     def _shifted(self, state: State, pixels: np.ndarray) -> State:
         """Hands, whose landmarks are at pixels (B, 21, 2), moved across the pictures by the mean displacement
@@ -250,7 +249,7 @@ class _Frames(Batch):
         kept: State,
         distance_sigma: np.ndarray,
         uncertainty: np.ndarray,
-        held: np.ndarray,
+        fixed: np.ndarray,
         starts: list[State],
     ) -> State:
         observed = observation_of(seen, self.intrinsics)
@@ -258,16 +257,16 @@ class _Frames(Batch):
         turned = pinning.angle_sigma(uncertainty, pinning.hand_sizes(seen.pixels), self._idle)
         turned = np.where(self.posed[:, None], turned, np.inf)
         limits = np.where(self.posed, pinning.PINS.limits_sigma, np.nan)
-        near = PoseAnchor(kept.wrist, distance_sigma, kept.angles, turned, limits)
+        near = PoseAnchor.at(kept, distance_sigma, turned, limits)
         most = EDITS.max_iterations if self.near is None else EDITS.draft_iterations
-        observed = replace(observed, kept=near, touches=self.touches)
-        return _cheapest(self.fitter, observed, starts, _held(held, kept), most, solid=True).state
+        observed = replace(observed, anchor=near, touches=self.touches)
+        return cheapest(self.fitter, observed, starts, fixed_at(fixed, kept), most, solid=True).state
 
 
 def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> HandMotion:
     """All frames (T), fitted over time. Frames with pins or touches are fitted twice: without these, which
     gives the wrist's distance, and with them."""
-    posed, points = _posed(hand, model)
+    posed, points = posed_in_front(hand, model)
     edited = hand.pinned.any(axis=1) | hand.touching
     rows = np.flatnonzero(hand.detected | (posed & edited))
     if not len(rows):
@@ -280,24 +279,24 @@ def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> 
     cuts = detect_cuts(seen.pixels) | missing_between(rows, hand.holes)
     locked = posed[:, None] & np.asarray(hand.locked, dtype=bool)
     fitter = fitter_of(model)
-    everywhere = _held(locked, _poses(fitter, hand, hand, posed, np.arange(len(hand))))
+    everywhere = fixed_at(locked, states_of(fitter, hand, hand, posed, np.arange(len(hand))))
 
     def smoothly(observed: Observation, state: State) -> tuple[np.ndarray, State]:
         return smooth_track(
             fitter, observed, state, rows, cuts, hand.smoothing, hand.fps, everywhere,
-            lambda: _check(should_stop),
+            lambda: check_stop(should_stop),
         )  # fmt: skip
 
     observed = replace(observation_of(seen, hand.intrinsics), second=second)
     parts = []
-    for at, part in _chunks(rows):
-        _check(should_stop)
+    for at, part in chunks_of(rows):
+        check_stop(should_stop)
         here = observed.select(part)
         own = _start(fitter, hand, hand, posed[at], here, at)
-        parts.append(_cheapest(fitter, here, [own], _held(locked[at], own)))
-    held = None if everywhere is None else everywhere.select(rows)
+        parts.append(cheapest(fitter, here, [own], fixed_at(locked[at], own)))
+    fixed = None if everywhere is None else everywhere.select(rows)
     times = Times.between(rows, cuts, hand.fps)
-    observed, solution = fitter.solve_solid(observed, Solution.concatenate(parts), times, held)
+    observed, solution = fitter.solve_solid(observed, Solution.concatenate(parts), times, fixed)
     alone = solution.state
     frames, state = smoothly(observed, alone)
     if edited[rows].any():
@@ -305,20 +304,20 @@ def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> 
         pinned, touched = _corrected(fitter, hand, seen, second, rows, plain)
         observed = replace(pinned, self_contact=observed.self_contact)
         corrected = [alone]
-        for at, _ in _chunks(touched):
-            _check(should_stop)
-            held = None if everywhere is None else everywhere.select(rows[at])
+        for at, _ in chunks_of(touched):
+            check_stop(should_stop)
+            fixed = None if everywhere is None else everywhere.select(rows[at])
             start = [plain.select(at)]
-            found = _cheapest(fitter, observed.select(at), start, held, EDITS.max_iterations, solid=True)
+            found = cheapest(fitter, observed.select(at), start, fixed, EDITS.max_iterations, solid=True)
             corrected.append(found.state)
         latest = np.arange(len(rows))
         latest[touched] = len(rows) + np.arange(len(touched))
         frames, state = smoothly(observed, State.concatenate(corrected).select(latest))
     pose = [scatter(found, frames, len(hand)) for found in fitter.chain.parameters(state)[1:]]
-    motion = _with_held(hand, locked, pose)
+    motion = with_fixed(hand, locked, pose)
     if not hand.touching.any():
         return motion
-    _check(should_stop)
+    check_stop(should_stop)
     # Smoothing leaves gaps between points that touch; their fingers close them.
     pins = np.where(hand.touching[:, None, None], hand.pins, np.nan)
     return solve_each(replace(hand.with_pose(*motion.pose), pins=pins), model, None)
@@ -342,13 +341,13 @@ def _corrected(
     displaced = pinning.propagate_in_time(displaced, rows, hand.fps)
     uncertainty = pinning.propagate(displaced)
     touched = uncertainty.any(axis=1) | hand.pinned[rows].any(axis=1) | hand.touching[rows]
-    kept = anchored_at_distance(plain, pinning.distance_sigma(displaced, size))
+    anchor = PoseAnchor.at(plain, pinning.distance_sigma(displaced, size))
     observed = observation_of(pinning.apply_pins(seen, pins, uncertainty), hand.intrinsics)
     if second is not None:
         there = uncertainty * (pinning.hand_sizes(second.pixels) / size)[:, None]
         sigma = np.hypot(second.pixel_sigma, pinning.PINS.sigma_per_pixel * there[..., None])
         second = replace(second, pixel_sigma=sigma)
-    return replace(observed, kept=kept, touches=touches, second=second), np.flatnonzero(touched)
+    return replace(observed, anchor=anchor, touches=touches, second=second), np.flatnonzero(touched)
 
 
 def _touches(hand: RefineHand, rows: np.ndarray) -> np.ndarray | None:
@@ -392,9 +391,9 @@ def _with_touches(
     return drawn
 
 
-def _with_held(hand: RefineHand, held: np.ndarray, pose: Sequence[np.ndarray]) -> HandMotion:
-    """The solver's poses, with the joints `held` (T, 16) bool replaced by the given ones, to the last bit."""
-    wrist, fingers = held[:, :1].repeat(3, axis=1), held[:, 1:].repeat(3, axis=1)
+def with_fixed(hand: RefineHand, fixed: np.ndarray, pose: Sequence[np.ndarray]) -> HandMotion:
+    """The solver's poses, with those of the joints `fixed` (T, 16) bool as given, to the last bit."""
+    wrist, fingers = fixed[:, :1].repeat(3, axis=1), fixed[:, 1:].repeat(3, axis=1)
     rows = (
         np.where(np.isfinite(found) & joints, own, found)
         for found, joints, own in zip(pose, (wrist, fingers, wrist), hand.pose, strict=True)
@@ -410,12 +409,13 @@ def _joints(wrist: np.ndarray, fingers: np.ndarray) -> np.ndarray:
     return joints
 
 
-def _check(should_stop: ShouldStop) -> None:
+def check_stop(should_stop: ShouldStop) -> None:
+    """Raise Cancelled when the fit is to stop."""
     if should_stop():
         raise Cancelled("re-fitting was stopped; nothing was changed")
 
 
-def _posed(hand: RefineHand, model: HandModel) -> tuple[np.ndarray, np.ndarray]:
+def posed_in_front(hand: RefineHand, model: HandModel) -> tuple[np.ndarray, np.ndarray]:
     """(T,) bool: frames whose pose is in front of the camera; and the landmarks (T, 21, 3) of these poses in
     metres, camera frame, with ones in all other frames."""
     posed = hand.present
@@ -472,14 +472,14 @@ def _corrected_once(side: Side, detections: Detections) -> Landmarked:
     return _LAST[0][1]
 
 
-def _chunks(rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def chunks_of(rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Chunks of the frames `rows`, and their indices in it."""
     for first in range(0, len(rows), SOLVER.chunk_frames):
         part = np.arange(first, min(first + SOLVER.chunk_frames, len(rows)))
         yield rows[part], part
 
 
-def _poses(
+def states_of(
     fitter: FastFitter,
     hand: RefineHand,
     source: HandMotion,
@@ -504,7 +504,7 @@ def _start(
 ) -> State:
     """The solver's start: the poses of `_poses` with the depth's zero, and a relaxed hand where none is
     known."""
-    state = _poses(fitter, hand, source, known, rows)
+    state = states_of(fitter, hand, source, known, rows)
     along = (fitter.chain.points(state) * observed.ray[:, None]).sum(axis=2).mean(axis=1)
     state = replace(state, depth_zero=along)
     if known.all():
@@ -512,11 +512,11 @@ def _start(
     return state.where(known, fitter.start(observed, np.asarray(hand.betas, dtype=np.float64)))
 
 
-def _cheapest(
+def cheapest(
     fitter: FastFitter,
     observed: Observation,
     starts: Sequence[State],
-    held: FixedJoints | None,
+    fixed: FixedJoints | None,
     max_iterations: int | None = None,
     *,
     solid: bool = False,
@@ -525,11 +525,11 @@ def _cheapest(
     where it is not much higher. `max_iterations`: None for those of captures."""
     count = len(observed)
     index = np.tile(np.arange(count), len(starts))
-    held = held if held is None or len(starts) == 1 else held.select(index)
+    fixed = fixed if fixed is None or len(starts) == 1 else fixed.select(index)
     start = State.concatenate(starts)
     observed = observed if len(starts) == 1 else observed.select(index)
-    problem = fitter.problem(observed, held=held, solid=solid)
-    solution = fitter.solve_each(problem, start if held is None else held.put(start), max_iterations)
+    problem = fitter.problem(observed, fixed=fixed, solid=solid)
+    solution = fitter.solve_each(problem, start if fixed is None else fixed.put(start), max_iterations)
     if len(starts) == 1:
         return solution
     cost = np.nan_to_num(solution.cost, nan=np.inf, posinf=np.inf).reshape(len(starts), count)
@@ -537,6 +537,6 @@ def _cheapest(
     return solution.select(cost.argmin(axis=0) * count + np.arange(count))
 
 
-def _held(joints: np.ndarray, state: State) -> FixedJoints | None:
-    """The joints (B, 16) bool of B hands, held at `state`; None where there are none."""
+def fixed_at(joints: np.ndarray, state: State) -> FixedJoints | None:
+    """The joints (B, 16) bool of B hands, fixed at `state`; None where there are none."""
     return FixedJoints(joints, state) if joints.any() else None

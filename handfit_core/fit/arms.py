@@ -6,10 +6,9 @@ lengths l, which are equal in all frames,
     elbow e = w - l_f f      shoulder s = e - l_u u
 
 An arm has seven unknowns in each frame: w, and two increments of each direction. Every term gives residuals,
-divided by their expected errors, and their derivatives by (w, f, u). As in `clips`, acceleration couples a
-frame with the two before and the two after, so that the whole clip is one banded system. How much longer a
-person's upper arms and forearms are than most people's is its border. Both are solved directly until they
-hold still.
+divided by their expected errors, and their derivatives by (s, e, w, u, f). As in `clips`, acceleration
+couples a frame with the two before and the two after, so that the whole clip is one banded system. How much
+longer a person's upper arms and forearms are than most people's is its border.
 """
 
 from __future__ import annotations
@@ -22,19 +21,20 @@ from typing import Final
 import numpy as np
 
 from handfit_core.common.batch import Batch
-from handfit_core.fit.settings import SOLVER
+from handfit_core.fit.banded import put_lower, solve_bordered, solve_windows
+from handfit_core.fit.levenberg import CoupledFrames, solve
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.geometry.rotations import turn_from_axis
+from handfit_core.geometry.rotations import turn_from_axis, units
 
 FREE: Final = 7
-"""Unknowns of an arm in a frame: the wrist's place, and two of each direction"""
-WRIST, FOREARM, UPPER = slice(0, 3), slice(3, 6), slice(6, 9)
-"""Columns of derivatives by w, f and u"""
+"""Unknowns of an arm in a frame: the wrist's place, and two of each direction, the forearm's first"""
+SHOULDER, ELBOW, WRIST, UPPER, FOREARM = (slice(3 * i, 3 * i + 3) for i in range(5))
+"""Columns of derivatives by s, e, w, u and f"""
 
 
 @dataclass(frozen=True)
 class ArmSettings:
-    """What arms are expected to be like, and what they are seen with."""
+    """Expected lengths, bends and motion of arms, and expected errors of what is seen of them."""
 
     upper_arm: float = 1.56
     forearm: float = 1.49
@@ -75,8 +75,9 @@ class ArmSettings:
     overlap_seconds: float = 4.0
     """seconds that two windows of a long clip share"""
     iterations: int = 30
-    tolerance: float = 1e-4
+    tolerance: float = 1e-6
     """Relative decrease of the cost at which to stop"""
+    first_damping: float = 1e-6
 
 
 ARMS: Final = ArmSettings()
@@ -84,7 +85,7 @@ ARMS: Final = ArmSettings()
 
 @dataclass(frozen=True, eq=False)
 class ArmsSeen(Batch):
-    """What is seen of A arms of one person in T frames, camera frame."""
+    """Observations of A arms of one person in T frames, camera frame."""
 
     wrist: np.ndarray
     """(T, A, 3) metres: the fitted hand's wrist joint; NaN without a hand"""
@@ -107,44 +108,51 @@ class ArmsSeen(Batch):
         """(T, A) bool"""
         return np.isfinite(self.wrist[..., 0])
 
-    def longer(self, by: np.ndarray) -> ArmsSeen:
-        """With upper arms and forearms that are longer by logarithms (2,)."""
-        return replace(self, lengths=self.lengths * np.exp(by))
-
 
 @dataclass(frozen=True, eq=False)
 class Arms(Batch):
-    """A arms in T frames: w, f and u, each (T, A, 3)."""
+    """A arms in T frames."""
 
     wrist: np.ndarray
+    """(T, A, 3) metres"""
     forearm: np.ndarray
+    """(T, A, 3) unit vectors"""
     upper: np.ndarray
+    """(T, A, 3) unit vectors"""
+    lengths: np.ndarray
+    """(T, A, 2) metres of upper arm and forearm, equal in all frames"""
 
-    def points(self, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Shoulder, elbow and wrist, each (T, A, 3), of arms of those lengths (T, A, 2)."""
-        elbow = self.wrist - lengths[..., 1:] * self.forearm
-        return elbow - lengths[..., :1] * self.upper, elbow, self.wrist
+    @property
+    def points(self) -> np.ndarray:
+        """(T, A, 3, 3) shoulder, elbow and wrist, metres."""
+        elbow = self.wrist - self.lengths[..., 1:] * self.forearm
+        return np.stack([elbow - self.lengths[..., :1] * self.upper, elbow, self.wrist], axis=-2)
 
-    def tangents(self) -> np.ndarray:
-        """(T, A, 9, 7) derivatives of (w, f, u) by the unknowns."""
-        matrix = np.zeros((*self.wrist.shape[:2], 9, FREE))
+    def derivatives(self) -> np.ndarray:
+        """(T, A, 15, 9) of (s, e, w, u, f) by the unknowns, and by the logarithms of both lengths."""
+        matrix = np.zeros((*self.wrist.shape[:2], 15, FREE + 2))
+        upper, forearm = self.lengths[..., :1], self.lengths[..., 1:]
+        matrix[..., UPPER, 5:7], matrix[..., FOREARM, 3:5] = _across(self.upper), _across(self.forearm)
         matrix[..., WRIST, 0:3] = np.eye(3)
-        matrix[..., FOREARM, 3:5] = _across(self.forearm)
-        matrix[..., UPPER, 5:7] = _across(self.upper)
+        matrix[..., ELBOW, :] = matrix[..., WRIST, :] - forearm[..., None] * matrix[..., FOREARM, :]
+        matrix[..., ELBOW, 8] = -forearm * self.forearm
+        matrix[..., SHOULDER, :] = matrix[..., ELBOW, :] - upper[..., None] * matrix[..., UPPER, :]
+        matrix[..., SHOULDER, 7] = -upper * self.upper
         return matrix
 
-    def moved(self, step: np.ndarray) -> Arms:
-        """By increments (T, A, 7)."""
-        raw = (self.tangents() @ step[..., None])[..., 0]
+    def moved(self, step: np.ndarray, longer: np.ndarray) -> Arms:
+        """By increments (T, A, 7), with lengths that grow by logarithms (T, 2)."""
+        turned = (self.derivatives()[..., :FREE] @ step[..., None])[..., 0]
         return Arms(
-            self.wrist + raw[..., WRIST],
-            _unit(self.forearm + raw[..., FOREARM]),
-            _unit(self.upper + raw[..., UPPER]),
+            self.wrist + step[..., :3],
+            units(self.forearm + turned[..., FOREARM]),
+            units(self.upper + turned[..., UPPER]),
+            self.lengths * np.exp(longer)[:, None],
         )
 
 
 Rows = tuple[np.ndarray, np.ndarray]
-"""Residuals (T, A, K) and their derivatives (T, A, K, 9) by w, f and u"""
+"""Residuals (T, A, K) and their derivatives (T, A, K, 15) by s, e, w, u and f"""
 
 
 def at_hand(arms: Arms, seen: ArmsSeen) -> Rows:
@@ -155,7 +163,7 @@ def at_hand(arms: Arms, seen: ArmsSeen) -> Rows:
     ray = turn_from_axis(place / distance)
     sigma = np.concatenate([np.full((*there.shape, 2), ARMS.wrist_sigma), ARMS.distance_sigma * distance], -1)
     weighted = np.where(there[..., None, None], ray.swapaxes(-1, -2) / sigma[..., None], 0.0)
-    jacobian = np.zeros((*there.shape, 3, 9))
+    jacobian = np.zeros((*there.shape, 3, 15))
     jacobian[..., WRIST] = weighted
     return (weighted @ (arms.wrist - place)[..., None])[..., 0], jacobian
 
@@ -163,27 +171,26 @@ def at_hand(arms: Arms, seen: ArmsSeen) -> Rows:
 def in_picture(arms: Arms, seen: ArmsSeen) -> Rows:
     """How far shoulder, elbow and, where there is no hand, wrist are beside the rays of the body network's
     points, metres."""
-    points = np.stack(arms.points(seen.lengths), axis=-2)  # (T, A, 3, 3)
+    points = arms.points
     weight = seen.visibility / (ARMS.joint_sigma * seen.hand_length)
     weight[..., 2] *= ~seen.with_hand
     rays = np.where(weight[..., None] > 0.0, seen.camera.rays(seen.pixels), 0.0)[..., :2]
     residual = (points[..., :2] - rays * points[..., 2:]) * weight[..., None]
     by_point = np.concatenate([np.broadcast_to(np.eye(2), (*weight.shape, 2, 2)), -rays[..., None]], axis=-1)
     by_point *= weight[..., None, None]
-    jacobian = np.zeros((*weight.shape, 2, 9))
-    jacobian[..., WRIST] = by_point
-    jacobian[..., :2, :, FOREARM] = -seen.lengths[..., 1, None, None, None] * by_point[..., :2, :, :]
-    jacobian[..., 0, :, UPPER] = -seen.lengths[..., 0, None, None] * by_point[..., 0, :, :]
+    jacobian = np.zeros((*weight.shape, 2, 15))
+    for k, columns in enumerate((SHOULDER, ELBOW, WRIST)):
+        jacobian[..., k, :, columns] = by_point[..., k, :, :]
     return _robust(residual, jacobian)
 
 
 def along_network(arms: Arms, seen: ArmsSeen) -> Rows:
-    """Both directions against the body network's."""
+    """The directions of upper arm and forearm less those of the body network."""
     found = np.stack([arms.upper, arms.forearm], axis=-2)
     # A bone is seen as well as its worse end.
     weight = np.minimum(seen.visibility[..., :2], seen.visibility[..., 1:])[..., None] / ARMS.direction_sigma
     residual = np.where(weight > 0.0, found - seen.directions, 0.0) * weight
-    jacobian = np.zeros((*weight.shape[:-1], 3, 9))
+    jacobian = np.zeros((*weight.shape[:-1], 3, 15))
     jacobian[..., 0, :, UPPER] = jacobian[..., 1, :, FOREARM] = np.eye(3)
     return _robust(residual, jacobian * weight[..., None])
 
@@ -198,68 +205,61 @@ def within_wrist(arms: Arms, seen: ArmsSeen) -> Rows:
     residual = along / sigma
     residual[..., 0] -= math.cos(ARMS.max_bend) / ARMS.bend_sigma
     residual[..., 0] *= beyond
-    jacobian = np.zeros((*beyond.shape, 3, 9))
+    jacobian = np.zeros((*beyond.shape, 3, 15))
     jacobian[..., FOREARM] = axes / sigma[:, None]
     jacobian[..., 0, :] *= beyond[..., None]
     return residual, jacobian
 
 
-POINT_TERMS: Final[tuple[Callable[[Arms, ArmsSeen], Rows], ...]] = (at_hand, in_picture)
-DIRECTION_TERMS: Final[tuple[Callable[[Arms, ArmsSeen], Rows], ...]] = (along_network, within_wrist)
+TERMS: Final[tuple[Callable[[Arms, ArmsSeen], Rows], ...]] = (
+    at_hand,
+    in_picture,
+    along_network,
+    within_wrist,
+)
 
 
 def shoulder_width(arms: Arms, seen: ArmsSeen) -> Rows:
-    """Of two arms: how far the shoulders are from their distance. (T, 1) and (T, 1, 2, 9)."""
-    shoulder = arms.points(seen.lengths)[0]
+    """The distance of the shoulders of two arms less the expected one: (T, 1), and derivatives
+    (T, 1, 2, 15)."""
+    shoulder = arms.points[..., 0, :]
     between = shoulder[:, 1] - shoulder[:, 0]
     distance = np.maximum(np.linalg.norm(between, axis=-1, keepdims=True), 1e-6)
     along = between / distance / ARMS.width_sigma
-    by_shoulder = np.stack([-along, along], axis=1)[:, None]  # (T, 1, 2, 3)
-    lengths = seen.lengths[:, None, :, :, None]
-    by_arm = [by_shoulder, -lengths[..., 1, :] * by_shoulder, -lengths[..., 0, :] * by_shoulder]
-    residual = (distance - ARMS.shoulders * seen.hand_length) / ARMS.width_sigma
-    return residual, np.concatenate(by_arm, axis=-1)
+    jacobian = np.zeros((len(between), 1, 2, 15))
+    jacobian[..., SHOULDER] = np.stack([-along, along], axis=1)[:, None]
+    return (distance - ARMS.shoulders * seen.hand_length) / ARMS.width_sigma, jacobian
 
 
-def fit_arms(seen: ArmsSeen, fps: float) -> tuple[Arms, np.ndarray]:
-    """The arms of T consecutive frames, at `fps` frames per second, window by window, and their lengths
-    (T, A, 2), metres, which the first window tells. Frames in which nothing is seen follow from their
-    neighbours; each arm must have a hand, and a body, in one frame at least."""
-    arms, count, first, overlap = _start(seen), len(seen.wrist), 0, int(ARMS.overlap_seconds * fps)
-    while True:
-        last = min(first + SOLVER.window_frames + overlap, count)
-        window = slice(first, last)
-        # Of the frames that two windows share, the first half is the earlier one's.
-        keep = 0 if first == 0 else overlap // 2
-        found, longer = _window(seen.select(window), arms.select(window), fps, learn=first == 0)
-        seen = seen.longer(longer)
-        arms = arms.replaced(np.arange(first + keep, last), found.select(slice(keep, None)))
-        if last == count:
-            return arms, seen.lengths
-        first += SOLVER.window_frames
+def fit_arms(seen: ArmsSeen, fps: float) -> Arms:
+    """The arms of T consecutive frames, at `fps` frames per second, window by window; the first window tells
+    their lengths. Frames in which nothing is seen follow from their neighbours; each arm must have a hand,
+    and a body, in one frame at least."""
+    lengths: np.ndarray | None = None
+
+    def window(rows: slice, start: Arms) -> Arms:
+        nonlocal lengths
+        if lengths is not None:
+            start = replace(start, lengths=np.broadcast_to(lengths, start.lengths.shape))
+        found = solve_arms(ArmFit(seen.select(rows), fps, learn=lengths is None), start)
+        lengths = found.lengths[:1]
+        return found
+
+    return solve_windows(first_guess(seen), int(ARMS.overlap_seconds * fps), window)
 
 
-@np.errstate(all="ignore")
-def _window(seen: ArmsSeen, arms: Arms, fps: float, *, learn: bool = True) -> tuple[Arms, np.ndarray]:
-    """The arms, and logarithms (2,) of how much longer upper arms and forearms are; 0 unless `learn`."""
-    longer = np.zeros(2)
-    system = _system(arms, seen, longer, fps)
-    damping = 1e-6
-    for _ in range(ARMS.iterations):
-        step, by_length = system.step(damping, learn=learn)
-        moved, stretched = arms.moved(step.reshape(*arms.wrist.shape[:2], FREE)), longer + by_length
-        after = _system(moved, seen, stretched, fps)
-        if not after.cost < system.cost:
-            damping *= 10.0
-            continue
-        gain = (system.cost - after.cost) / system.cost
-        arms, longer, system, damping = moved, stretched, after, damping * 0.2
-        if gain < ARMS.tolerance:
-            break
-    return arms, longer
+def solve_arms(fit: ArmFit, start: Arms) -> Arms:
+    """Solve T frames at once."""
+    return solve(
+        fit,
+        start,
+        max_iterations=ARMS.iterations,
+        tolerance=ARMS.tolerance,
+        first_damping=ARMS.first_damping,
+    ).state
 
 
-def _start(seen: ArmsSeen) -> Arms:
+def first_guess(seen: ArmsSeen) -> Arms:
     """The hand's wrist and the body network's directions, interpolated where there is none."""
     count = len(seen.wrist)
     values = [seen.wrist.copy(), seen.directions[..., 1, :].copy(), seen.directions[..., 0, :].copy()]
@@ -270,111 +270,109 @@ def _start(seen: ArmsSeen) -> Arms:
             rows = np.flatnonzero(there[:, arm])
             for axis in range(3):
                 value[:, arm, axis] = np.interp(np.arange(count), rows, value[rows, arm, axis])
-    return Arms(values[0], _unit(values[1]), _unit(values[2]))
+    return Arms(values[0], units(values[1]), units(values[2]), seen.lengths)
 
 
 @dataclass(frozen=True, eq=False)
 class _System:
     """The normal equations of P = 7 A unknowns in each of T frames, and of both lengths' logarithms."""
 
-    cost: float
-    band: np.ndarray
-    """(3 P, P T) in LAPACK's lower form"""
+    cost: np.ndarray
+    """(T,)"""
+    blocks: np.ndarray
+    """(T, 3 P, P) columns of the matrix: a frame with itself, the next one and the one after"""
+    gradient: np.ndarray
+    """(T, P)"""
     border: np.ndarray
-    """(P T, 2)"""
+    """(T, P, 2)"""
     corner: np.ndarray
     """(2, 2)"""
-    gradient: np.ndarray
-    """(P T,)"""
     by_length: np.ndarray
     """(2,) the gradient by the lengths"""
 
-    def step(self, damping: float, *, learn: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Increments of the unknowns (P T,) and of the lengths' logarithms (2,), 0 unless `learn`."""
-        from scipy.linalg import solveh_banded  # slow to load
+    def add(self, residual: np.ndarray, jacobian: np.ndarray) -> None:
+        """Add R residuals (T', R) of s consecutive frames each, T' = T - s + 1, with their derivatives
+        (s, T', R, P + 2)."""
+        count, size = len(residual), self.gradient.shape[1]
+        by_length = jacobian[..., size:].sum(axis=0)
+        self.cost[:count] += np.square(residual).sum(axis=1)
+        self.corner[...] += np.einsum("trv,trw->vw", by_length, by_length)
+        self.by_length[...] += np.einsum("trv,tr->v", by_length, residual)
+        for a, of_a in enumerate(jacobian[..., :size].swapaxes(-1, -2)):
+            self.gradient[a : a + count] += (of_a @ residual[..., None])[..., 0]
+            self.border[a : a + count] += of_a @ by_length
+            for b in range(a + 1):
+                rows = slice((a - b) * size, (a - b + 1) * size)
+                self.blocks[b : b + count, rows] += of_a @ jacobian[b, ..., :size]
 
-        damped = self.band.copy(order="F")
-        damped[0] += damping * damped[0] + 1e-9
-        sides = np.column_stack([self.gradient, self.border])
-        own, border = np.split(solveh_banded(damped, sides, lower=True, check_finite=False), [1], axis=1)
-        longer = np.zeros(2)
-        if learn:
-            corner = self.corner - self.border.T @ border
-            longer = np.linalg.solve(corner, self.border.T @ own[:, 0] - self.by_length)
-        return -own[:, 0] - border @ longer, longer
+
+@dataclass(frozen=True, eq=False)
+class ArmFit(CoupledFrames):
+    """The fit of arms to what is seen of them in T consecutive frames at once."""
+
+    seen: ArmsSeen
+    fps: float
+    learn: bool = True
+    """True if the lengths are unknown, too"""
+
+    def blocks(self, state: Arms) -> _System:
+        """The normal equations of the whole clip, and each frame's cost."""
+        arms, seen, (count, number) = state, self.seen, state.wrist.shape[:2]
+        size, derivatives = number * FREE, arms.derivatives()
+        system = _System(*(np.zeros(shape) for shape in (
+            (count,), (count, 3 * size, size), (count, size), (count, size, 2), (2, 2), (2,)
+        )))  # fmt: skip
+        rows = [term(arms, seen) for term in TERMS]
+        jacobian = np.concatenate([of_term for _, of_term in rows], axis=2) @ derivatives
+        residual = np.concatenate([of_term for of_term, _ in rows], axis=2).reshape(count, -1)
+        system.add(residual, _of_all(jacobian)[None])
+        if number == 2:
+            apart, by_arms = shoulder_width(arms, seen)
+            by_each = np.einsum("tkar,tarv->tkav", by_arms, derivatives)
+            own = by_each[..., :FREE].reshape(count, 1, size)
+            system.add(apart, np.concatenate([own, by_each[..., FREE:].sum(axis=2)], axis=-1)[None])
+        # Differences of the points over two and three frames
+        points, moving = arms.points.reshape(count, -1), _of_all(derivatives[..., :9, :])
+        for steps, weight in (
+            ((-1.0, 1.0), _of_speed(seen, self.fps)),
+            ((1.0, -2.0, 1.0), np.tile(_of_acceleration(self.fps), (max(count - 2, 0), number))),
+        ):
+            rows = [slice(a, max(count - len(steps) + 1 + a, a)) for a in range(len(steps))]
+            change = sum(c * points[at] for c, at in zip(steps, rows, strict=True)) * weight
+            by_frames = [c * weight[..., None] * moving[at] for c, at in zip(steps, rows, strict=True)]
+            system.add(change, np.stack(by_frames))
+        prior = min(count, max(ARMS.correlated_seconds * self.fps, 1.0)) / ARMS.length_sigma**2
+        longer = np.log(arms.lengths / seen.lengths)[0, 0]
+        system.cost[0] += prior * np.square(longer).sum()
+        system.corner[...] += prior * np.eye(2)
+        system.by_length[...] += prior * longer
+        return system
+
+    def step(
+        self, state: Arms, blocks: _System, damping: np.ndarray
+    ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+        """Increments (T, A, 7), and the lengths' logarithms (T, 2), 0 unless `learn`; and the predicted
+        decrease (T,)."""
+        count, size = blocks.gradient.shape
+        band = np.zeros((count, size, 3 * size))
+        put_lower(band, slice(None), blocks.blocks)
+        band = band.reshape(count * size, 3 * size).T
+        band[0] += damping[0] * band[0] + 1e-9
+        known = 1.0 if self.learn else 0.0
+        border, by_length = known * blocks.border.reshape(-1, 2), known * blocks.by_length
+        step, longer = solve_bordered(band, -blocks.gradient.reshape(-1), border, blocks.corner, -by_length)
+        decrease = -(blocks.gradient * step.reshape(count, size)).sum(axis=1) - by_length @ longer / count
+        return (step.reshape(*state.wrist.shape[:2], FREE), np.tile(longer, (count, 1))), decrease
 
 
-def _system(arms: Arms, seen: ArmsSeen, longer: np.ndarray, fps: float) -> _System:
-    seen = seen.longer(longer)
-    count, number = arms.wrist.shape[:2]
-    size = number * FREE
-    # Columns of an arm's unknowns, then of the lengths. Points depend on the products of lengths and
-    # directions alone.
-    tangents = np.zeros((count, number, 9, FREE + 2))
-    tangents[..., :FREE] = arms.tangents()
-    of_directions = tangents.copy()
-    tangents[..., UPPER, FREE], tangents[..., FOREARM, FREE + 1] = arms.upper, arms.forearm
-    rows = [(*term(arms, seen), tangents) for term in POINT_TERMS]
-    rows += [(*term(arms, seen), of_directions) for term in DIRECTION_TERMS]
-    residual = np.concatenate([each for each, _, _ in rows], axis=-1)
-    jacobian = np.concatenate([each @ by for _, each, by in rows], axis=-2)
-    prior = min(count, max(ARMS.correlated_seconds * fps, 1.0)) / ARMS.length_sigma**2
-    cost = float(np.square(residual).sum() + prior * np.square(longer).sum())
-    gradients = (jacobian.swapaxes(-1, -2) @ residual[..., None])[..., 0]
-    squared = jacobian.swapaxes(-1, -2) @ jacobian
-    own = np.zeros((count, 3 * size, size))
-    """Columns of the matrix: a frame with itself, the next one and the one after"""
-    gradient = gradients[..., :FREE].reshape(count, size)
-    by_length = gradients[..., FREE:].sum(axis=(0, 1)) + prior * longer
-    border = squared[..., :FREE, FREE:].reshape(count, size, 2)
-    corner = squared[..., FREE:, FREE:].sum(axis=(0, 1)) + prior * np.eye(2)
+def _of_all(jacobian: np.ndarray) -> np.ndarray:
+    """Derivatives (T, A, K, 9) of each arm's rows -> (T, A K, 7 A + 2) by all arms' unknowns, and lengths."""
+    count, number, rows, _ = jacobian.shape
+    own = np.zeros((count, number, rows, number, FREE))
     for arm in range(number):
-        at = slice(arm * FREE, (arm + 1) * FREE)
-        own[:, at, at] = squared[:, arm, :FREE, :FREE]
-    if number == 2:
-        apart, by_arms = shoulder_width(arms, seen)
-        by_each = np.einsum("tkar,tarv->tkav", by_arms, tangents)
-        along, by_both = by_each[..., FREE:].sum(axis=2), by_each[..., :FREE].reshape(count, -1, size)
-        turned = by_both.swapaxes(1, 2)
-        own[:, :size] += turned @ by_both
-        gradient += (turned @ apart[..., None])[..., 0]
-        border += turned @ along
-        corner += np.einsum("tkv,tkw->vw", along, along)
-        by_length += np.einsum("tkv,tk->v", along, apart)
-        cost += float(np.square(apart).sum())
-    # Differences of the points over two and three frames, by the unknowns of each
-    points = np.stack(arms.points(seen.lengths), axis=2).reshape(count, number, 9)
-    by_points = np.zeros((count, number, 3, 3, 9))
-    by_points[..., WRIST] = np.eye(3)
-    by_points[:, :, :2, :, FOREARM] = -seen.lengths[:, :, 1, None, None, None] * np.eye(3)
-    by_points[:, :, 0, :, UPPER] = -seen.lengths[:, :, 0, None, None] * np.eye(3)
-    moving = by_points.reshape(count, number, 9, 9) @ tangents
-    for coefficients, weight in (
-        ((-1.0, 1.0), _of_speed(seen, fps)),
-        ((1.0, -2.0, 1.0), _of_acceleration(fps)),
-    ):
-        last = max(count - len(coefficients) + 1, 0)
-        change = sum(c * points[a : last + a] for a, c in enumerate(coefficients)) * weight
-        along = sum(c * moving[a : last + a, ..., FREE:] for a, c in enumerate(coefficients))
-        along = along * weight[..., None]
-        cost += float(np.square(change).sum())
-        corner += np.einsum("taiv,taiw->vw", along, along)
-        by_length += np.einsum("taiv,tai->v", along, change)
-        for a, ca in enumerate(coefficients):
-            of_a = (ca * weight[..., None] * moving[a : last + a, ..., :FREE]).swapaxes(-1, -2)
-            gradient[a : last + a] += (of_a @ change[..., None])[..., 0].reshape(-1, size)
-            border[a : last + a] += (of_a @ along).reshape(-1, size, 2)
-            for b, cb in enumerate(coefficients[: a + 1]):
-                block = of_a @ (cb * weight[..., None] * moving[b : last + b, ..., :FREE])
-                for arm in range(number):
-                    at = arm * FREE
-                    row = (a - b) * size + at
-                    own[b : last + b, row : row + FREE, at : at + FREE] += block[:, arm]
-    band = np.zeros((count, size, 3 * size))
-    for column in range(size):
-        band[:, column, : 3 * size - column] = own[:, column:, column]
-    band = band.reshape(count * size, 3 * size).T
-    return _System(cost, band, border.reshape(-1, 2), corner, gradient.reshape(-1), by_length)
+        own[:, arm, :, arm] = jacobian[:, arm, :, :FREE]
+    own = own.reshape(count, number * rows, number * FREE)
+    return np.concatenate([own, jacobian[..., FREE:].reshape(count, -1, 2)], axis=-1)
 
 
 def _of_acceleration(fps: float) -> np.ndarray:
@@ -384,7 +382,7 @@ def _of_acceleration(fps: float) -> np.ndarray:
 
 
 def _of_speed(seen: ArmsSeen, fps: float) -> np.ndarray:
-    """(T - 1, A, 9) one over the expected first differences: an arm whose hand rests hardly moves. Nothing is
+    """(T - 1, 9 A) one over the expected first differences: an arm whose hand rests hardly moves. Nothing is
     expected of arms without a hand."""
     rows = np.arange(len(seen.wrist))
     # Over so long that the hand's own tremor is none.
@@ -393,7 +391,7 @@ def _of_speed(seen: ArmsSeen, fps: float) -> np.ndarray:
     way = np.linalg.norm(seen.wrist[after] - seen.wrist[before], axis=-1, keepdims=True)
     speed = way * fps / (after - before)[:, None, None]
     weight = np.repeat(fps / (ARMS.resting_speed + ARMS.speed_share * np.nan_to_num(speed)), 9, axis=-1)
-    return np.where(np.isfinite(speed), weight, 0.0)
+    return np.where(np.isfinite(speed), weight, 0.0).reshape(len(rows) - 1, 9 * seen.wrist.shape[1])
 
 
 def _robust(residual: np.ndarray, jacobian: np.ndarray) -> Rows:
@@ -406,14 +404,10 @@ def _robust(residual: np.ndarray, jacobian: np.ndarray) -> Rows:
     residual = np.where(outside, cost, 1.0) * residual
     jacobian = np.where(outside, ARMS.huber / safe / cost, 1.0)[..., None] * jacobian
     shape = residual.shape[:2]
-    return residual.reshape(*shape, -1), jacobian.reshape(*shape, -1, 9)
+    return residual.reshape(*shape, -1), jacobian.reshape(*shape, -1, 15)
 
 
 def _across(direction: np.ndarray) -> np.ndarray:
     """(..., 3) unit vectors -> (..., 3, 2) two axes across each."""
     facing = np.where(direction[..., 2:] < 0.0, -1.0, 1.0)
     return turn_from_axis(direction * facing)[..., :2]
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)

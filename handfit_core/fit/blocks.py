@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.common.batch import Batch, Index
+from handfit_core.common.batch import Batch
 from handfit_core.fit.settings import SOLVER
 from handfit_core.hand_model.chain import BETAS, HAND_SIZE
 
@@ -32,11 +32,6 @@ class Blocks(Batch):
     between: np.ndarray | None = None
     """(B, 45, 45) coupling of fingers with each other, with zeros in each finger's own block; None: no hand
     of the batch has any"""
-
-    def put(self, index: Index, other: Blocks) -> None:
-        """Overwrite the rows at `index` with those of `other`, which has the same terms."""
-        for name, values in self._rows():
-            values[index] = getattr(other, name)[index]
 
     def with_fixed(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> Blocks:
         """The problems with some variables fixed: the increments of these come out as exactly zero.
@@ -111,7 +106,7 @@ def _damped(matrix: np.ndarray, damping: np.ndarray) -> np.ndarray:
 
 
 def _of_common(system: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """What B systems (B, n, n + 1) say of the betas and of what follows a hand's own variables, (c, c + 1);
+    """The system (c, c + 1) of the betas and the cameras' variables, from B systems (B, n, n + 1);
     the own variables' answers (B, o, c + 1) to each of its columns, and the indices of both."""
     n = system.shape[1]
     common = np.r_[BETAS, HAND_SIZE:n]

@@ -10,9 +10,10 @@ import numpy as np
 
 from handfit_core.common.batch import scatter, slices
 from handfit_core.common.skeleton import NUM_BETAS
+from handfit_core.common.threads import in_threads
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import Detections, Track
-from handfit_core.fit.clips import smooth_clip
+from handfit_core.fit.clips import ClipProblem, MotionPrior, smooth_clip
 from handfit_core.fit.doubt import (
     crop_spread_factor,
     doubtful,
@@ -24,8 +25,8 @@ from handfit_core.fit.doubt import (
 )
 from handfit_core.fit.gaps import Times, detect_cuts, interpolate_gaps, missing_between, segments
 from handfit_core.fit.levenberg import solve
-from handfit_core.fit.observation import Observation, anchored_at_distance, observation_of
-from handfit_core.fit.problem import FixedJoints, MotionPrior, Problem, SharedShape
+from handfit_core.fit.observation import Observation, PoseAnchor, observation_of
+from handfit_core.fit.problem import FixedJoints, Problem, SharedShape
 from handfit_core.fit.self_contact import find_self_contact
 from handfit_core.fit.settings import MOTION, SOLVER, TERMS, VIEWS
 from handfit_core.fit.solution import Solution
@@ -105,11 +106,11 @@ class FastFitter:
         self,
         seen: Observation,
         shape: SharedShape = "given",
-        held: FixedJoints | None = None,
+        fixed: FixedJoints | None = None,
         *,
         solid: bool = False,
     ) -> Problem:
-        """The problem of fitting B hands to an observation, near the poses of `seen.kept`, if there are any.
+        """The problem of fitting B hands to an observation, near `seen.anchor`, if there is one.
 
         `solid`: with the terms that couple parts of a hand, so that these do not pass through each other. The
         shape must be given, and the start roughly right: a finger on the wrong side would be held there.
@@ -117,15 +118,15 @@ class FastFitter:
         terms = (*self._terms, *self._coupling_terms(seen)) if solid else self._terms
         if seen.second is not None:
             terms = (*terms, second_view)
-        if seen.kept is not None:
+        if seen.anchor is not None:
             terms = (*terms, near_pose, distance)
         if seen.grip is not None:
             terms = (*terms, grip, near_wrist)
         if shape != "given":
             weight = 1.0 if shape == "each" else 1.0 / min(len(seen), SOLVER.shape_evidence)
             terms = (*terms, Shape(self._betas, self._length_rates, weight, measured=self._measured))
-        angle_bounds = self.angle_bounds if seen.kept is None else None
-        return Problem(self.chain, seen, terms, shape, held, angle_bounds=angle_bounds)
+        angle_bounds = self.angle_bounds if seen.anchor is None else None
+        return Problem(self.chain, seen, terms, shape, fixed, angle_bounds=angle_bounds)
 
     def camera_terms(self, count: int) -> tuple[Term, ...]:
         """The terms of `count` frames, but for the pictures', while cameras are looked for."""
@@ -140,16 +141,15 @@ class FastFitter:
         seen = problem.seen
         corrected = any(each is not None for each in (seen.pinned, seen.touches, seen.grip))
         tolerance = SOLVER.pinned_tolerance if corrected else SOLVER.tolerance
-        return Solution.collect(
-            len(start),
-            (
-                solve(problem.select(rows), start.select(rows), max_iterations=most, tolerance=tolerance)
-                for rows in slices(len(start), SOLVER.solve_batch)
-            ),
-        )
+
+        def solved(rows: slice) -> Solution:
+            return solve(problem.select(rows), start.select(rows), max_iterations=most, tolerance=tolerance)
+
+        batches = list(slices(len(start), SOLVER.solve_batch))
+        return Solution.collect(len(start), in_threads(solved, batches))
 
     def solve_solid(
-        self, seen: Observation, plain: Solution, times: Times | None = None, held: FixedJoints | None = None
+        self, seen: Observation, plain: Solution, times: Times | None = None, fixed: FixedJoints | None = None
     ) -> tuple[Observation, Solution]:
         """The observation with its self-contact, and the solution in which parts do not pass through each
         other.
@@ -166,10 +166,9 @@ class FastFitter:
         coupled = np.unique(np.concatenate(rows))
         if not len(coupled):
             return seen, plain
-        solid = self.problem(seen, held=held, solid=True)
-        chosen = (coupled[batch] for batch in slices(len(coupled), SOLVER.solve_batch))
-        found = (self.solve_each(solid.select(rows), plain.state.select(rows)) for rows in chosen)
-        return seen, plain.replaced(coupled, Solution.collect(len(coupled), found))
+        solid = self.problem(seen, fixed=fixed, solid=True)
+        found = self.solve_each(solid.select(coupled), plain.state.select(coupled))
+        return seen, plain.replaced(coupled, found)
 
     def solve_pictures(self, seen: Observation) -> tuple[Observation, Solution]:
         """B pictures of hands solved independently, each with a shape of its own; the observation as
@@ -219,12 +218,12 @@ def fit_track(
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """What is known of a clip's hand before it is fitted."""
+    """A first estimate of a clip's hand, and of its errors."""
 
     state: State
     """N hands, roughly right, of the true shape"""
     judged: Observation
-    """What its expected error is told from, as the doubt's weights know it"""
+    """N hands as one camera sees them, from which `doubt` estimates their errors"""
     error_factor: np.ndarray
     """(N,) factors by which the expected errors are multiplied"""
 
@@ -318,13 +317,13 @@ def smooth_track(
     cuts: np.ndarray,
     smoothing: float,
     fps: float,
-    held: FixedJoints | None = None,
+    fixed: FixedJoints | None = None,
     before_each: Callable[[], None] = lambda: None,
 ) -> tuple[np.ndarray, State]:
     """Interpolate the gaps of a track and smooth its motion, segment by segment.
 
     Returns the numbers (F,) of the frames that have a hand, and their states. `found`: (N,) the detected
-    frames, of which `seen` and `state` have a row each; `cuts`: (N - 1,) bool between them. `held` has a row
+    frames, of which `seen` and `state` have a row each; `cuts`: (N - 1,) bool between them. `fixed` has a row
     for each frame of the clip. `before_each` is called before each segment, window and iteration, and may
     raise to stop.
     """
@@ -335,16 +334,16 @@ def smooth_track(
         known = np.isin(segment, found)
         rows = np.flatnonzero(np.isin(found, segment))
         guess = interpolate_gaps(state.select(slice(rows[0], rows[-1] + 1)), known)
-        here = None if held is None else held.select(segment)
+        here = None if fixed is None else fixed.select(segment)
         guess = guess if here is None else here.put(guess)
         if smoothing > 0:
             # Frames without a detection repeat another one's row, which is not used.
             nearest = rows[np.clip(np.cumsum(known) - 1, 0, None)]
             segment_seen = seen.select(slice(rows[0], rows[-1] + 1) if known.all() else nearest)
             segment_seen = replace(segment_seen, depth_sigma=MOTION.depth_factor * segment_seen.depth_sigma)
-            problem = fitter.problem(segment_seen, held=here, solid=True)
+            problem = fitter.problem(segment_seen, fixed=here, solid=True)
             # A second view sees the distance.
-            unknown = segment_seen.kept is None and segment_seen.depth_zero is None
+            unknown = segment_seen.anchor is None and segment_seen.depth_zero is None
             if unknown and segment_seen.second is None and len(segment) > 2:
                 certain = known & False if here is None else here.joints[:, 0]
                 distance_factor = wrist_distance_factors(guess, known, certain, fps, smoothing)
@@ -353,13 +352,12 @@ def smooth_track(
                     wrist=guess.wrist * distance_factor[:, None],
                     depth_zero=guess.depth_zero * distance_factor,
                 )
-                kept = anchored_at_distance(guess, np.full(len(distance_factor), MOTION.distance_sigma))
+                anchor = PoseAnchor.at(guess, MOTION.distance_sigma)
                 problem = replace(
-                    problem, seen=replace(segment_seen, kept=kept), terms=(*problem.terms, distance)
+                    problem, seen=replace(segment_seen, anchor=anchor), terms=(*problem.terms, distance)
                 )
             motion_scale = palm_motion_scale(segment_seen, known, fps)
-            problem = replace(problem, motion=motion, motion_scale=motion_scale, observed=known)
-            guess = smooth_clip(problem, guess, before_each)
+            guess = smooth_clip(ClipProblem(problem, motion, motion_scale, known, before_each), guess)
         frames.append(segment)
         states.append(guess)
     return np.concatenate(frames), State.concatenate(states)

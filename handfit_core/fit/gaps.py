@@ -19,7 +19,7 @@ from handfit_core.hand_model.chain import State
 
 
 def detect_cuts(pixels: np.ndarray) -> np.ndarray:
-    """(N - 1,) bool: whether there is a cut between consecutive detections (N, 21, 2) in pixels."""
+    """(N - 1,) bool: true where there is a cut between consecutive detections (N, 21, 2) in pixels."""
     size = np.maximum(np.ptp(pixels, axis=1).max(axis=1), 1e-9)
     # Only the palm, since a fist that opens within a frame is no other shot.
     spread = np.maximum(pixels[:, list(PALM_KEYPOINTS)].std(axis=1).max(axis=1), 1e-9)
@@ -30,7 +30,7 @@ def detect_cuts(pixels: np.ndarray) -> np.ndarray:
 
 
 def missing_between(found: np.ndarray, holes: Sequence[int]) -> np.ndarray:
-    """(N - 1,) bool: whether pictures are missing between consecutive detected frames (N,)."""
+    """(N - 1,) bool: true where pictures are missing between consecutive detected frames (N,)."""
     before = np.searchsorted(np.sort(np.asarray(holes, dtype=np.int64)), found)
     return np.diff(before) > 0
 

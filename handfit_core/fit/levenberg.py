@@ -1,28 +1,68 @@
-"""Levenberg-Marquardt over a batch of problems, each with its own damping and its own end."""
+"""Levenberg-Marquardt over a batch of problems, each with its own damping and its own end. NumPy."""
 
 from __future__ import annotations
 
+from typing import Any, TypeVar
+
 import numpy as np
 
-from handfit_core.fit.problem import Problem
+from handfit_core.common.batch import Batch
 from handfit_core.fit.settings import SOLVER
 from handfit_core.fit.solution import Solution, Status
-from handfit_core.hand_model.chain import State
 
 _RUNNING = -1
+S = TypeVar("S", bound=Any)
+"""A `Batch` of states, whose method `moved` takes the increments of a step"""
+
+
+class LeastSquares(Batch):
+    """B least-squares problems: of hands, of a clip's frames, of arms, of a character's fingers."""
+
+    @property
+    def together(self) -> bool:
+        """True if the rows share variables, so that they are one problem, which stops as a whole."""
+        return False
+
+    def blocks(self, state: Any) -> Any:
+        """The normal equations at `state`, with their `cost` (B,): a `Batch`, unless they are one problem."""
+        raise NotImplementedError
+
+    def step(self, state: Any, blocks: Any, damping: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+        """The increments that `state.moved` takes, under damping (B,) relative to the diagonals, and by how
+        much they decrease the costs (B,) at least if the residuals are linear."""
+        raise NotImplementedError
+
+
+class CoupledFrames(LeastSquares):
+    """The problem of consecutive frames, which acceleration couples."""
+
+    @property
+    def together(self) -> bool:
+        """True."""
+        return True
 
 
 @np.errstate(all="ignore")
-def solve(problem: Problem, start: State, *, max_iterations: int, tolerance: float) -> Solution:
-    """Minimise the cost of B problems from `start` (B). Where all hands have one shape, all stop together.
+def solve(
+    problem: LeastSquares,
+    start: S,
+    *,
+    max_iterations: int,
+    tolerance: float = 0.0,
+    min_gain: float | None = None,
+    first_damping: float | None = None,
+) -> Solution[S]:
+    """Minimise the cost of B problems from `start` (B). `first_damping`: None for `SOLVER`'s.
 
-    A problem ends when its next step is predicted to decrease the cost by less than `tolerance` times the
-    cost; that step is not tried. It also ends after a step that gained almost nothing. A problem whose cost
+    A problem ends when its next step is predicted to decrease the cost by no more than `tolerance` times the
+    cost; that step is not tried. It also ends after a step that decreased it by less than `min_gain` times
+    the cost, None for `SOLVER.min_gain_of_tolerance` times the tolerance. A problem whose cost
     is not finite at the start ends at once, with the status `NO_NUMBERS`.
     """
-    together = problem.shape == "one"
+    together = problem.together
+    min_gain = SOLVER.min_gain_of_tolerance * tolerance if min_gain is None else min_gain
     blocks, state, index = problem.blocks(start), start, np.arange(len(start))
-    damping = np.full(len(start), SOLVER.first_damping)
+    damping = np.full(len(start), SOLVER.first_damping if first_damping is None else first_damping)
     iterations = np.zeros(len(start), dtype=np.int64)
     status = np.where(np.isfinite(blocks.cost), _RUNNING, Status.NO_NUMBERS)
     if together and (status == Status.NO_NUMBERS).any():
@@ -43,25 +83,21 @@ def solve(problem: Problem, start: State, *, max_iterations: int, tolerance: flo
     if (status != _RUNNING).any():
         pack(status == _RUNNING)
     for _ in range(max_iterations):
-        of_hand, of_fingers = blocks.step(damping, shared_shape=together)
-        step = of_hand, problem.clip_to_bounds(state, of_fingers)
-        before, predicted_decrease = blocks.cost, blocks.predicted_decrease(*step)
+        step, predicted_decrease = problem.step(state, blocks, damping)
+        before = blocks.cost
         if together:
             before, predicted_decrease = (
                 np.full_like(before, before.sum()),
                 np.full_like(before, predicted_decrease.sum()),
             )
-        status[(status == _RUNNING) & (predicted_decrease < tolerance * before)] = Status.CONVERGED
+        status[(status == _RUNNING) & (predicted_decrease <= tolerance * before)] = Status.CONVERGED
         active = status == _RUNNING
         alive = np.count_nonzero(active)
         if alive == 0:
             break
         if alive <= SOLVER.pack_below_share * len(index):
-            step, before, predicted_decrease = (
-                (step[0][active], step[1][active]),
-                before[active],
-                predicted_decrease[active],
-            )
+            step = tuple(increments[active] for increments in step)
+            before, predicted_decrease = before[active], predicted_decrease[active]
             pack(active)
             active = np.ones(alive, dtype=bool)
         candidate = state.moved(*step)
@@ -70,10 +106,11 @@ def solve(problem: Problem, start: State, *, max_iterations: int, tolerance: flo
         iterations += active
         # NaN is not better.
         better = (after < before) & active
-        if not better.all():
+        if not better.all() and better.any():
             candidate = candidate.where(better, state)
-            tried.put(~better, blocks)
-        state, blocks = candidate, tried
+            tried.overwrite(~better, blocks)
+        if better.any():
+            state, blocks = candidate, tried
         # Continuous in the gain ratio, so that nearly equal problems stay so.
         gain_ratio = np.clip((before - after) / predicted_decrease, 0.0, 1.0)
         less = np.maximum(1.0 - (2.0 * gain_ratio - 1.0) ** 3, SOLVER.damping_decrease)
@@ -81,9 +118,7 @@ def solve(problem: Problem, start: State, *, max_iterations: int, tolerance: flo
             damping * np.where(better, less, SOLVER.damping_increase), SOLVER.min_damping, SOLVER.max_damping
         )
         status[active & (damping >= SOLVER.max_damping)] = Status.STUCK
-        status[better & (before - after < SOLVER.min_gain_of_tolerance * tolerance * before)] = (
-            Status.CONVERGED
-        )
+        status[better & (before - after < min_gain * before)] = Status.CONVERGED
     status[status == _RUNNING] = Status.ITERATIONS
     finished.append((index, Solution(state, blocks.cost, iterations, status)))
     order = np.argsort(np.concatenate([rows for rows, _ in finished]))

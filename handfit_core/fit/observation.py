@@ -16,7 +16,7 @@ from handfit_core.hand_model.chain import State
 @dataclass(frozen=True, eq=False)
 class PoseAnchor(Batch):
     """Poses that B hands are to stay near, and how firmly; an infinite sigma keeps nothing. Joints that are
-    held exactly are in `problem.FixedJoints`."""
+    fixed are in `problem.FixedJoints`."""
 
     wrist: np.ndarray
     """(B, 3) metres, camera frame, of which only the distance from the camera counts"""
@@ -28,15 +28,21 @@ class PoseAnchor(Batch):
     """(B, 5) radians"""
     limits_sigma: np.ndarray
     """(B,) radians beyond a joint's passive range (`passive_range`), or beyond the kept angles
-    where these go further, that cost as much as one sigma; NaN: limits are those of hands without a pose to
-    keep"""
+    where these go further, that cost as much as one sigma; NaN: limits are those of hands without an
+    anchor"""
 
-
-def anchored_at_distance(state: State, sigma: np.ndarray) -> PoseAnchor:
-    """B hands of which only the wrist's distance is kept; `sigma` (B,) is relative to it."""
-    return PoseAnchor(
-        state.wrist, sigma, state.angles, np.full(state.angles.shape[:2], np.inf), np.full(len(sigma), np.nan)
-    )
+    @classmethod
+    def at(
+        cls,
+        state: State,
+        distance_sigma: float | np.ndarray = np.inf,
+        angle_sigma: float | np.ndarray = np.inf,
+        limits_sigma: float | np.ndarray = np.nan,
+    ) -> PoseAnchor:
+        """The poses of B hands; sigmas are as above, or one for all."""
+        count = len(state)
+        distance, limits = (np.broadcast_to(sigma, count) for sigma in (distance_sigma, limits_sigma))
+        return cls(state.wrist, distance, state.angles, np.broadcast_to(angle_sigma, (count, 5)), limits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +58,7 @@ class SelfContact(Batch):
     in_contact: np.ndarray
     """(B, Q) confidence that the skins touch where the parts cross, 0..1"""
     lifted: np.ndarray
-    """(B,) bool: whether the thumb seems far off a bent finger that it crosses, which is rare"""
+    """(B,) bool: true where the thumb seems far off a bent finger that it crosses, which is rare"""
     pinch: np.ndarray
     """(B, P) confidence that the pairs of tips of `fit.self_contact.PINCH_BONES` touch, 0..1"""
 
@@ -108,7 +114,7 @@ class Observation(Landmarked):
     """(B, 2) pixels"""
     depth_zero: np.ndarray | None = None
     """(B,) metres along the line of sight where depth is zero, NaN where not known; None: known of none"""
-    kept: PoseAnchor | None = None
+    anchor: PoseAnchor | None = None
     """Poses that the hands are to stay near; None: there are none"""
     self_contact: SelfContact | None = None
     """Which parts cross and touch; None: not looked for"""

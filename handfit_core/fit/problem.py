@@ -11,6 +11,7 @@ import numpy as np
 from handfit_core.common.batch import Batch
 from handfit_core.common.skeleton import JOINTS_BY_FINGER
 from handfit_core.fit.blocks import Blocks
+from handfit_core.fit.levenberg import LeastSquares
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.terms import Term
 from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES, Group, PairRows, SkinRows
@@ -21,12 +22,12 @@ SharedShape = Literal["given", "each", "one"]
 
 @dataclass(frozen=True, eq=False)
 class FixedJoints(Batch):
-    """Joints of B hands that are no variables, and the state they are held at."""
+    """Joints of B hands that are no variables, and the state they are fixed at."""
 
     joints: np.ndarray
     """(B, 16) bool in MANO's order; 0 holds the wrist's rotation and its place"""
     state: State
-    """B hands; only the held joints of it count"""
+    """B hands; only the fixed joints of it count"""
 
     @cached_property
     def variables(self) -> np.ndarray:
@@ -36,7 +37,7 @@ class FixedJoints(Batch):
         return np.concatenate([wrist, fingers, wrist], axis=1)
 
     def put(self, state: State) -> State:
-        """`state`, with the held joints replaced by theirs."""
+        """`state`, with the fixed joints replaced by theirs."""
         wrist, fingers = self.joints[:, :1], self.variables[:, 3:48].reshape(-1, 5, 9)
         return replace(
             state,
@@ -46,36 +47,17 @@ class FixedJoints(Batch):
         )
 
 
-@dataclass(frozen=True)
-class MotionPrior:
-    """Standard deviations of a hand's accelerations, per frame of the clip."""
-
-    rotation: float
-    """radians per frame squared"""
-    place: float
-    """metres per frame squared"""
-    overlap: int = 60
-    """Frames that two windows share: frames farther apart hardly influence each other"""
-
-
 @dataclass(frozen=True, eq=False)
-class Problem(Batch):
+class Problem(LeastSquares):
     """The fit of B hands."""
 
     chain: Chain
     seen: Observation
     terms: tuple[Term, ...]
     shape: SharedShape = "given"
-    """Whether betas are constant, each hand's own variables, or one set for all hands"""
-    held: FixedJoints | None = None
+    """Betas are given constants, variables of each hand, or one set of variables for all hands"""
+    fixed: FixedJoints | None = None
     """Joints that are no variables; None: all are variables"""
-    motion: MotionPrior | None = None
-    """The motion prior of B consecutive frames of a clip; None: frames are independent"""
-    motion_scale: np.ndarray | None = None
-    """(B,) factors of the palm's expected rotational acceleration in the frames of a clip; None: 1"""
-    observed: np.ndarray | None = None
-    """(B,) bool: frames of a clip whose `seen` counts; the others follow their neighbours. None: all count"""
-
     angle_bounds: tuple[np.ndarray, np.ndarray] | None = None
     """(5, 9) and (5, 9) radians between which steps keep the angles: joint limits are so steep that a step,
     which only knows those that are exceeded already, would overshoot them. None: unbounded"""
@@ -88,6 +70,19 @@ class Problem(Batch):
         angles = state.angles
         ends = np.clip(angles + of_fingers, np.minimum(least, angles), np.maximum(most, angles))
         return ends - angles
+
+    @property
+    def together(self) -> bool:
+        """True if all hands have one shape."""
+        return self.shape == "one"
+
+    def step(
+        self, state: State, blocks: Blocks, damping: np.ndarray
+    ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+        """Increments (B, n) and (B, 5, 9) as `State.moved` takes them, and the predicted decrease (B,)."""
+        of_hand, of_fingers = blocks.step(damping, shared_shape=self.together)
+        step = of_hand, self.clip_to_bounds(state, of_fingers)
+        return step, blocks.predicted_decrease(*step)
 
     def blocks(self, state: State) -> Blocks:
         """Cost and Gauss-Newton matrices of B hands, each by itself."""
@@ -150,13 +145,13 @@ class Problem(Batch):
             hand[:, :6, :6] += squared[:, :, 9:, 9:15].sum(axis=1)
             hand[:, :6, -1] += squared[:, :, 9:, -1].sum(axis=1)
         blocks = Blocks(hand, finger, cost, between)
-        if self.held is None:
+        if self.fixed is None:
             return blocks
-        held = self.held.variables
+        fixed = self.fixed.variables
         n = size - 10
         of_hand = np.zeros((batch, n), dtype=bool)
-        of_hand[:, :3], of_hand[:, n - 4 : n - 1] = held[:, :3], held[:, 48:]
-        return blocks.with_fixed(of_hand, held[:, 3:48].reshape(-1, 5, 9))
+        of_hand[:, :3], of_hand[:, n - 4 : n - 1] = fixed[:, :3], fixed[:, 48:]
+        return blocks.with_fixed(of_hand, fixed[:, 3:48].reshape(-1, 5, 9))
 
 
 def _widened(rows: np.ndarray, size: int) -> np.ndarray:
@@ -171,10 +166,9 @@ def _widened(rows: np.ndarray, size: int) -> np.ndarray:
 def _paired(pairs: list[PairRows], batch: int) -> np.ndarray:
     """(B, 48, 49) Gauss-Newton matrices of pair rows, by all angles (45) and the root's turn (3), with their
     gradients as the last column."""
-    hand = np.concatenate([rows.hand for rows in pairs])
-    columns = np.concatenate([rows.columns for rows in pairs])
-    fingers = np.concatenate([rows.fingers for rows in pairs])
-    of_fingers = (9 * fingers[..., None] + np.arange(9)).reshape(-1, 18)
+    rows = PairRows.concatenate(pairs)
+    hand, columns = rows.hand, rows.columns
+    of_fingers = (9 * rows.fingers[..., None] + np.arange(9)).reshape(-1, 18)
     at = np.concatenate([of_fingers, np.broadcast_to(45 + np.arange(4), (len(hand), 4))], axis=1)
     squared = columns[:, :-1, None] * columns[:, None]
     flat = (hand[:, None, None] * 48 + at[:, :-1, None]) * 49 + at[:, None]

@@ -31,7 +31,7 @@ class SeenOverTime(Batch):
         return float(np.median(np.ptp(self.seen.pixels, axis=1).max(axis=1)))
 
     def seen_at(self, times: np.ndarray) -> np.ndarray:
-        """(M,) bool: whether there is a detection near those times (M,), in seconds."""
+        """(M,) bool: true where there is a detection near those times (M,), in seconds."""
         after = np.clip(np.searchsorted(self.times, times), 0, len(self.times) - 1)
         before = np.maximum(after - 1, 0)
         away = np.minimum(np.abs(self.times[after] - times), np.abs(self.times[before] - times))

@@ -1,4 +1,4 @@
-"""What fits are weighed and stopped by."""
+"""Weights, tolerances and limits of the fits."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ class SolverSettings:
     in all"""
     chunk_frames: int = 512
     """Frames fitted between two chances to stop; bounds the memory"""
-    solve_batch: int = 256
-    """Frames solved at once; bounds the memory, and arrays of so many fit into the processor's cache"""
+    solve_batch: int = 128
+    """Frames whose matrices are made, or that are solved, at once in a thread; bounds the memory, and arrays
+    of so many fit into the processor's cache"""
     clip_iterations: int = 8
-    clip_tolerance: float = 3e-3
-    """Relative decrease of the total cost at which to stop"""
+    clip_min_gain: float = 3e-3
+    """Relative decrease of the total cost after which a step was the last"""
+    clip_damping: float = 1e-6
+    """The first damping of clips, whose slow motions a larger one would hold back"""
     window_frames: int = 600
     """Frames that each window of a long clip adds"""
-    batch_frames: int = 128
-    """Frames whose own matrices are made together; bounds the memory for intermediate arrays"""
     first_damping: float = 1e-3
     min_damping: float = 1e-7
     max_damping: float = 1e6

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from handfit_core.common.batch import Batch
-from handfit_core.hand_model.chain import State
+
+S = TypeVar("S", bound=Batch)
 
 
 class Status(IntEnum):
@@ -25,10 +27,10 @@ class Status(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Solution(Batch):
+class Solution(Batch, Generic[S]):
     """Where B problems ended."""
 
-    state: State
+    state: S
     cost: np.ndarray
     """(B,) sum over all terms, squared sigmas"""
     iterations: np.ndarray

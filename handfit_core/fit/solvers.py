@@ -61,14 +61,14 @@ class Solver:
     description: str
     """One line for those who choose"""
     smooths: bool = False
-    """Whether it takes notice of smoothing"""
+    """True if it takes notice of smoothing"""
     takes_hand_length: bool = False
-    """Whether it takes notice of a given length"""
+    """True if it takes notice of a given length"""
     slow: bool = False
-    """Whether a frame takes it longer than the detector: once stopped, it gets a moment for what was found
+    """True if a frame takes it longer than the detector: once stopped, it gets a moment for what was found
     until then, where others get the time that they need"""
     published: bool = False
-    """Whether it is the paper's: its own protocol runs it frame by frame, as published"""
+    """True if it is the paper's: its own protocol runs it frame by frame, as published"""
     needs: tuple[str, ...] = ()
     """Packages that it imports beside those that every capture needs"""
 

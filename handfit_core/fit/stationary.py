@@ -22,6 +22,7 @@ from typing import Final
 import numpy as np
 
 from handfit_core.common.skeleton import PALM_KEYPOINTS
+from handfit_core.fit.banded import solve_bordered
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.settings import MOTION, TERMS
 from handfit_core.geometry.rotations import rotmat_to_rotvec
@@ -93,8 +94,6 @@ def wrist_distance_factors(
     `state`: the frames, each fitted by itself. `known` (T,) bool: frames with a detection. `certain` (T,)
     bool: frames whose wrist is in its true place. `smoothing`: the strength.
     """
-    from scipy.linalg import solveh_banded  # slow to load
-
     fps = min(fps, MOTION.max_fps)
     known = known & ~certain & (state.wrist[:, 2] > TERMS.nearest)
     if not known.any():
@@ -113,7 +112,6 @@ def wrist_distance_factors(
     )
     speed, acceleration = np.full(len(y) - 1, rest_step), np.full(len(y) - 2, 5.0 * rest_change)
     features = MODEL.bend_weight * bends
-    sides = np.column_stack([y, features])
     trust = known / MODEL.noise**2
     distance = y
     for _ in range(MODEL.rounds):
@@ -129,20 +127,19 @@ def wrist_distance_factors(
             for i, ci in enumerate(steps):
                 for j, cj in enumerate(steps[: i + 1]):
                     band[2 * (i - j), first + 2 * j :: 2][: len(weight)] += ci * cj * weight
-        right = (trust[:, None] * sides).repeat(2, axis=0)
-        right[::2, 0] += certain * y / MODEL.known_distance**2
+        right = (trust * y).repeat(2)
+        right[::2] += certain * y / MODEL.known_distance**2
+        # w couples all frames.
+        weighted = trust[:, None] * features
+        border, corner = weighted.repeat(2, axis=0), np.eye(5) + features.T @ weighted
         try:
-            found = solveh_banded(band, right, lower=True, check_finite=False)
+            found, w = solve_bordered(band, right, border, corner, weighted.T @ y)
         except np.linalg.LinAlgError:
             # The numbers are no hand's: leave each frame where it is.
             return np.ones(len(known))
-        # w couples all frames, so it is eliminated last.
-        both = found[::2] + found[1::2]
-        square = np.eye(5) + features.T @ (trust[:, None] * (features - both[:, 1:]))
-        w = np.linalg.solve(square, features.T @ (trust * (y - both[:, 0])))
-        distance = found[::2, 0] - found[::2, 1:] @ w
+        distance = found[::2]
         # Huber's kernel: outliers count less.
-        off = np.abs(y - both[:, 0] - (features - both[:, 1:]) @ w) / MODEL.noise
+        off = np.abs(y - distance - found[1::2] - features @ w) / MODEL.noise
         trust = known / (MODEL.noise**2 * np.maximum(off, 1.0))
         velocity = np.diff(distance)
         around = _smooth(np.clip(velocity, -max_step, max_step) ** 2, MODEL.steady_seconds * fps)

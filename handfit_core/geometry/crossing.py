@@ -22,7 +22,7 @@ class Crossing:
     across: np.ndarray
     """(B, Q) their distance there, in units of the points"""
     crossed: np.ndarray
-    """(B, Q) bool: whether they cross"""
+    """(B, Q) bool: true where they cross"""
 
     @classmethod
     def of(cls, points: np.ndarray) -> Self:

@@ -26,8 +26,8 @@ _NEWTON_STEPS: Final = 12
 
 @dataclass(frozen=True)
 class Lens:
-    """What a camera does to points, in pictures of `width` x `height` pixels. Raises OptionError for numbers
-    that no lens has."""
+    """A measured camera and its distortion, in pictures of `width` x `height` pixels. Raises OptionError for
+    numbers that no lens has."""
 
     intrinsics: Intrinsics
     distortion: tuple[float, float, float, float, float]

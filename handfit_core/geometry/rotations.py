@@ -153,3 +153,32 @@ def unflip_quats(quats: np.ndarray) -> np.ndarray:
     sign = np.where(np.cumsum(flips, axis=0) % 2 == 1, -1.0, 1.0)
     quats[1:] *= sign[..., None]
     return quats
+
+
+def swings(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """(N, 3, 3) the smallest rotations that take unit vectors (3,) or (N, 3) to others (N, 3)."""
+    start = np.broadcast_to(start, end.shape)
+    across, cosine = np.cross(start, end), np.sum(start * end, axis=-1)
+    turn = skew(across)
+    found = np.eye(3) + turn + turn @ turn / np.maximum(1.0 + cosine, 1e-9)[:, None, None]
+    opposite = cosine < -1.0 + 1e-9
+    if opposite.any():
+        aside = units(np.cross(start, np.eye(3)[np.argmin(np.abs(start), axis=-1)]))
+        found[opposite] = (2.0 * aside[:, :, None] * aside[:, None] - np.eye(3))[opposite]
+    return found
+
+
+def perpendicular(vectors: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) without their part along unit vectors (..., 3)."""
+    return vectors - np.sum(vectors * along, axis=-1, keepdims=True) * along
+
+
+def units(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) with length 1; zeros stay zeros."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+
+
+def smoothstep(share: np.ndarray) -> np.ndarray:
+    """0 up to a share of 0, 1 from a share of 1 on, and smooth between."""
+    share = np.clip(share, 0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)

@@ -20,7 +20,13 @@ from typing import Final
 import numpy as np
 
 from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
-from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat, rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.geometry.rotations import (
+    quat_to_rotmat,
+    rotmat_to_quat,
+    rotmat_to_rotvec,
+    rotvec_to_rotmat,
+    units,
+)
 from handfit_core.hand_model.data import HandModel, ShapedHand
 
 WORLD_FROM_CAMERA: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -78,11 +84,11 @@ def bone_frames(shaped: ShapedHand, side: Side) -> np.ndarray:
     perpendicular to the bone. The left hand's frames are the right hand's as Blender mirrors bones,
     so that poses can be pasted from one to the other.
     """
-    along = _unit(bone_tails(shaped) - shaped.joints)
+    along = units(bone_tails(shaped) - shaped.joints)
     # Out of the back of the hand, for both sides; the thumb's is mirrored for the left one.
     up = np.tile(np.array([0.0, 1.0, 0.0]), (NUM_JOINTS, 1))
     up[list(FINGER_JOINTS["thumb"])] = _UP_OF_THUMB * (1.0 if side == "right" else np.array([-1.0, 1.0, 1.0]))
-    bend = _unit(np.cross(-along, up))
+    bend = units(np.cross(-along, up))
     axes = np.stack([bend, along, np.cross(bend, along)], axis=-1)  # (16, 3, 3), columns X Y Z
     return REST_FROM_MODEL @ axes
 
@@ -223,7 +229,3 @@ def _products_to_elements(frames: np.ndarray) -> np.ndarray:
     """(15, 9, 9): row p of a joint is B M_p B^T, row by row."""
     basis = REST_FROM_MODEL.T @ frames[1:]
     return np.einsum("jak,pkl,jbl->jpab", basis, _PRODUCT_MATRICES, basis).reshape(NUM_JOINTS - 1, 9, 9)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)

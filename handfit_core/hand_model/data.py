@@ -102,7 +102,7 @@ class HandModel:
 
     @cached_property
     def has_pose_blendshapes(self) -> bool:
-        """Whether posing changes the mesh beyond skinning."""
+        """True if posing changes the mesh beyond skinning."""
         return bool(np.any(self.posedirs))
 
     @cached_property

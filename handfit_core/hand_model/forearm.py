@@ -14,6 +14,7 @@ from typing import Final, Literal
 import numpy as np
 
 from handfit_core.common.skeleton import FINGER_JOINTS, NUM_JOINTS
+from handfit_core.geometry.rotations import smoothstep
 from handfit_core.hand_model.data import HandModel
 
 Wrist = Literal["open", "cap", "forearm"]
@@ -109,8 +110,7 @@ def forearm_share(model: HandModel) -> np.ndarray:
     joints = model.shaped().joints
     along = joints[0] - joints[FINGER_JOINTS["middle"][0]]
     behind = (model.v_template - joints[0]) @ along / (along @ along)
-    share = np.clip((behind - _BEND[0]) / (_BEND[1] - _BEND[0]), 0.0, 1.0)
-    return model.weights[:, 0] * share * share * (3.0 - 2.0 * share)
+    return model.weights[:, 0] * smoothstep((behind - _BEND[0]) / (_BEND[1] - _BEND[0]))
 
 
 def _behind(edge: np.ndarray, knuckle: np.ndarray, wrist: Wrist) -> np.ndarray:

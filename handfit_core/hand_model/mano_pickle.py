@@ -111,7 +111,7 @@ def _arrays_and_side(content: Any) -> tuple[dict[str, np.ndarray], Side]:
 
 
 def _has_left_fault(v_template: np.ndarray, shapedirs: np.ndarray) -> bool:
-    """Whether a left model's shape directions carry the right hand's sign in x (smplx issue 48).
+    """True if a left model's shape directions carry the right hand's sign in x (smplx issue 48).
 
     Others compare with the right file; one file is enough. Betas are independent with unit variance,
     so the sum over directions of (relative growth along x) * (relative growth across x) is the

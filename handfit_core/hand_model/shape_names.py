@@ -86,8 +86,8 @@ def _effects(model: HandModel) -> Iterator[tuple[str, np.ndarray]]:
         finger: np.array([*shaped.joints[list(joints)], shaped.tips[FINGERS.index(finger)]])
         for finger, joints in FINGER_JOINTS.items()
     }  # finger -> (4, 3)
-    longer = {finger: _lengthened(model, finger, bones[finger]) for finger in FINGERS}
-    thicker = {finger: _thickened(model, finger, bones[finger]) for finger in FINGERS}
+    grown = {finger: _grown(model, finger, bones[finger]) for finger in FINGERS}
+    longer, thicker = ({finger: both[i] for finger, both in grown.items()} for i in range(2))
     along, back, across = np.eye(3)  # of the model frame; only lines count, so sides do not matter
 
     yield "hand size", x - wrist
@@ -115,24 +115,17 @@ def _along(axis: np.ndarray, movement: np.ndarray) -> np.ndarray:
     return (movement @ axis)[:, None] * axis
 
 
-def _lengthened(model: HandModel, finger: str, points: np.ndarray) -> np.ndarray:
-    """(V, 3) a finger of joints and tip (4, 3) stretched along its bones, from its base."""
-    moved = np.zeros_like(model.v_template)
-    for joint, here, beyond in zip(FINGER_JOINTS[finger], points[:-1], points[1:], strict=True):
-        bone = (beyond - here) / np.linalg.norm(beyond - here)
-        stretched = here - points[0] + _along(bone, model.v_template - here)
-        moved += model.weights[:, [joint]] * stretched
-    return moved
-
-
-def _thickened(model: HandModel, finger: str, points: np.ndarray) -> np.ndarray:
-    """(V, 3) a finger of joints and tip (4, 3) grown away from its bones."""
-    moved = np.zeros_like(model.v_template)
+def _grown(model: HandModel, finger: str, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(V, 3) twice: a finger of joints and tip (4, 3) stretched along its bones, from its base, and grown
+    away from them."""
+    longer, thicker = np.zeros_like(model.v_template), np.zeros_like(model.v_template)
     for joint, here, beyond in zip(FINGER_JOINTS[finger], points[:-1], points[1:], strict=True):
         bone = (beyond - here) / np.linalg.norm(beyond - here)
         away = model.v_template - here
-        moved += model.weights[:, [joint]] * (away - _along(bone, away))
-    return moved
+        along = _along(bone, away)
+        longer += model.weights[:, [joint]] * (here - points[0] + along)
+        thicker += model.weights[:, [joint]] * (away - along)
+    return longer, thicker
 
 
 def _spread(model: HandModel, bones: dict[str, np.ndarray]) -> np.ndarray:

@@ -14,8 +14,9 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.batch import Batch
 from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, NUM_BETAS
-from handfit_core.geometry.rotations import rotmat_to_rotvec
+from handfit_core.geometry.rotations import rotmat_to_rotvec, units
 from handfit_core.hand_model.anatomy import anatomical_axes, rotmats_from_angles
 from handfit_core.hand_model.chain import Chain, Posed
 from handfit_core.hand_model.data import HandModel
@@ -32,7 +33,7 @@ LEVEL_OF_BONE: Final = np.array([*(b % 3 for b in range(PALM)), 3, 3, 3, 3])
 
 
 def _may_touch(first: int, second: int) -> bool:
-    """Whether two parts can come into contact; parts that are joined cannot."""
+    """True if two parts can come into contact; parts that are joined cannot."""
     if second >= PALM:
         # The thumb's root and the fingers' first bones are joined to the palm.
         return first < PALM and first % 3 > 0
@@ -75,7 +76,7 @@ class Capsules:
 
 
 @dataclass(frozen=True, eq=False)
-class Near:
+class Near(Batch):
     """K pairs of parts, each where they are nearest to each other."""
 
     hand: np.ndarray
@@ -119,8 +120,9 @@ class Surface:
 
     def capsules(self, posed: Posed) -> Capsules:
         """The capsules of B posed hands; the last ones are cached, as several terms need them."""
-        if self._last is not None and self._last[0] is posed:
-            return self._last[1]
+        last = self._last  # which another thread may replace
+        if last is not None and last[0] is posed:
+            return last[1]
         betas = posed.state.betas
         batch = len(betas)
         # Frames' columns are those of three joints and the root.
@@ -160,8 +162,7 @@ class Surface:
         close = least < within + capsules.rest_gap[hand, pair] + 1e-9
         hand, pair = hand[close], pair[close]
         near = self.gaps(capsules, hand, pair)
-        kept = near.gap < within
-        return Near(*(getattr(near, name)[kept] for name in Near.__dataclass_fields__))
+        return near.select(near.gap < within)
 
     def gaps(self, capsules: Capsules, hand: np.ndarray, pair: np.ndarray) -> Near:
         """The gaps of pairs (K,), as numbered in `PAIRS`, of hands (K,), however far they are apart."""
@@ -198,8 +199,7 @@ class Surface:
 
 def _towards(places: np.ndarray) -> np.ndarray:
     """(K, 3) unit vectors from the second of places (K, 2, 3) to the first."""
-    towards = places[:, 0] - places[:, 1]
-    return towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
+    return units(places[:, 0] - places[:, 1])
 
 
 @lru_cache(maxsize=8)

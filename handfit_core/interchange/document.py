@@ -28,6 +28,8 @@ from handfit_core.common.npz import NotNpz, NpzArchive, npy_array, npy_pickle
 from handfit_core.interchange.settings import LIMITS
 
 _NPY: Final = b"\x93NUMPY"
+_COMMA: Final = re.compile(r"^(\s*-?\d+),(\d+(?:[eE][-+]?\d+)?\s*)$")
+"""A number as it is written where a comma stands before decimals"""
 _LONG_NUMBER: Final = re.compile(rb"\d{%d}" % LIMITS.digits)
 
 
@@ -39,7 +41,7 @@ class Table:
     rows: list[list[str]]
     """Each as long as `columns`"""
     is_trc: bool = False
-    """Whether it was a .trc, whose markers' names are in `columns`"""
+    """True if it was a .trc, whose markers' names are in `columns`"""
 
     def texts(self, column: str) -> list[str]:
         """One column. Raises KeyError where there is none of that name."""
@@ -70,6 +72,8 @@ class Document:
         self.path = path_of(path)
         self.cut = ""
         """What is said of a file that breaks off, once it was read"""
+        self.has_lines = False
+        """True once a file was read that has a text of JSON a line"""
         self.is_folder = os.path.isdir(self.path)  # noqa: PTH112  (raises for no name, however long)
 
     def _refuse(self, what: str) -> NoReturn:
@@ -131,34 +135,28 @@ class Document:
 
     @cached_property
     def json(self) -> Any:
-        """The list or object that a JSON file holds."""
+        """The list or object in a JSON file, or the list of those in a file with one a line (.jsonl)."""
         start = self.bytes[:64].removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
         if start not in (b"{", b"["):
             return None
         self._check_room(_memory_of_json(self.bytes))
-        try:
-            return None if self.text is None else self._checked(json.loads(self.text))
-        except (ValueError, RecursionError):
-            return None
+        for read in (json.loads, self._lines):
+            with contextlib.suppress(ValueError, RecursionError):
+                return None if self.text is None else self._checked(read(self.text))
+        return None
 
-    @cached_property
-    def lines(self) -> list[Any] | None:
-        """What a file with a JSON text a line (.jsonl) holds."""
-        if self.bytes[:1] != b"{":
-            return None
-        self._check_room(_memory_of_json(self.bytes))
+    def _lines(self, text: str) -> list[Any]:
+        """What a text with one of JSON a line holds, of which the last may break off. Raises ValueError."""
+        *texts, last = [line for line in text.splitlines() if line.strip()]
+        told = [json.loads(line) for line in texts]
         try:
-            texts = [line for line in self.bytes.decode("utf-8").splitlines() if line.strip()]
-            told = [json.loads(line) for line in texts[:-1]]
-            try:
-                told.append(json.loads(texts[-1]))
-            except ValueError:
-                if not told:
-                    return None
-                self.cut = "its last line breaks off, and is left out"
-            return self._checked(told)
-        except (ValueError, RecursionError):
-            return None
+            told.append(json.loads(last))
+        except ValueError:
+            if not told:
+                raise
+            self.cut = "its last line breaks off, and is left out"
+        self.has_lines = True
+        return told
 
     @cached_property
     def table(self) -> Table | None:
@@ -174,8 +172,9 @@ class Document:
                 rows = [line for line in read if line]
             except (csv.Error, UnicodeDecodeError):
                 return None
-        if is_trc:
-            rows = _rows_of_trc(rows)
+        if self._delimiter == ";":
+            rows = [[_COMMA.sub(r"\1.\2", cell) for cell in row] for row in rows]
+        rows = _rows_of_trc(rows) if is_trc else _with_one_line_of_names(rows)
         if len(rows) < 2 or not 1 < len(rows[0]) <= LIMITS.columns:
             return None
         if len(rows) > 2 and len(rows[-1]) < len(rows[0]):
@@ -196,9 +195,11 @@ class Document:
 
     @cached_property
     def numbers(self) -> np.ndarray | None:
-        """(R, C) numbers of a table whose columns have no names."""
+        """(R, C) numbers of a table whose columns have no names, or are x, y and maybe z alone."""
         if self.suffix not in (".csv", ".tsv", ".txt") or self.table is None:
             return None
+        if "".join(self.table.columns).lower() in ("xy", "xyz"):
+            return self.table.numbers(self.table.columns)
         first = [_number(name) for name in self.table.columns]
         if not np.isfinite(first).all():
             return None
@@ -209,6 +210,9 @@ class Document:
         """The arrays of numbers in a .npy, a .npz, a pickle or a table without names, by their names."""
         if self.npz is None:
             alone = next((a for a in (self.npy, self.objects, self.numbers) if a is not None), None)
+            frames = alone if isinstance(alone, list) else ()
+            if frames and all(isinstance(f, np.ndarray) and f.shape == frames[0].shape for f in frames):
+                alone = np.array(frames)
             named = alone if isinstance(alone, dict) else {self.path.stem: alone}
             return {name: array for name, array in named.items() if isinstance(array, np.ndarray)}
         found = {}
@@ -359,28 +363,27 @@ class Document:
         what = next((what for sign, what in _NAMED if set(sign.split()) <= names), "")
         if what:
             return what
+        if self._zip is not None and "[Content_Types].xml" in self._zip.names:
+            return "a spreadsheet or another document; save its table as CSV"
         if self.npz is not None:
             return f"an .npz with {_some(self.npz.names)}"
         if self.bytes[:2] == b"PK" and self._torch is None:
             return "a zip archive, or a damaged .npz; unpack it first"
-        if b'"joint_angles"' in self.bytes[:4096] and (self.json or self.lines):
+        if b'"joint_angles"' in self.bytes[:4096] and self.json:
             return (
                 "the angles of UmeTrack's joints (HOT3D), which are not read; give "
                 "mano_hand_pose_trajectory.jsonl, which lies beside them"
             )
         if self.json is not None:
-            few = _some(self.json) if isinstance(self.json, dict) else _listed(self.json)
-            return f"JSON with {few}"
-        if self.lines:
-            few = _some(self.lines[0]) if isinstance(self.lines[0], dict) else "lists"
-            return f"lines of JSON with {few}"
+            first = self.json[0] if self.has_lines else self.json
+            return f"{'lines of ' if self.has_lines else ''}JSON with {_held(first)}"
         if self.npy is not None:
             return f"an .npy of the shape {'x'.join(map(str, self.npy.shape)) or 'of one number'}"
         whose = "a pickle" if self._torch is None else "PyTorch's file"
         if isinstance(held, np.ndarray):
             return f"{whose} with an array of the shape {'x'.join(map(str, held.shape)) or 'of one number'}"
         if held is not None:
-            return f"{whose} with {_some(held) if isinstance(held, dict) else _listed(held)}"
+            return f"{whose} with {_held(held)}"
         if refused:
             why_not = "is not read, as it could run programs: " if "asks to run" in refused else ""
             return f"{whose} that {refused}; {why_not}write what is in it as .npz or JSON"
@@ -389,7 +392,7 @@ class Document:
         if self.table is not None:
             return f"a table with the columns {_some(self.table.columns)}"
         if self.bytes.lstrip()[:1] in (b"{", b"["):
-            return _damage(self.bytes)
+            return _damage(self.bytes.decode("utf-8", "replace"))
         if self.text is not None:
             return (
                 f"a text, and no table with a cell below each name; it begins with {self.text.strip()[:40]!r}"
@@ -405,8 +408,16 @@ _MEDIA: Final = (
     ),
     ((b"\x1aE\xdf\xa3", b"\0\0\x01\xba", b"OggS", b"FLV"), "a video"),
 )
+_IN_BLENDER: Final = "{}; import it in Blender and export its hands as BVH"
 _OTHERS: Final = (
-    (b"Kaydara FBX", "an FBX; import it in Blender and export its hands as BVH"),
+    (b"Kaydara FBX", _IN_BLENDER.format("an FBX")),
+    (b"; FBX", _IN_BLENDER.format("an FBX")),
+    (b"#usda", _IN_BLENDER.format("a USD stage")),
+    (b"PXR-USDC", _IN_BLENDER.format("a USD stage")),
+    (b"Vocaloid Motion Data", _IN_BLENDER.format("MikuMikuDance's motion")),
+    (b"<?xml", "XML, as Xsens' MVNX is; export its hands as BVH"),
+    (b"Format Version,", "Motive's table; write its markers as .trc"),
+    (b"NO_OF_FRAMES", "Qualisys' table; write its markers as .trc"),
     (b"glTF", "a glTF or VRM model, without hands that were captured"),
     (b"BLENDER", "a .blend; open it in Blender"),
     (b"\x89HDF", "HDF5 (DeepLabCut, SLEAP); export its points as CSV"),
@@ -427,24 +438,42 @@ _NAMED: Final = (
 """What arrays or keys tell of files whose hands no reader knows"""
 
 
-def _damage(data: bytes) -> str:
+def _damage(text: str) -> str:
     """What is wrong with a JSON text, or with lines of it."""
-    text = data.decode("utf-8", "replace")
-    lines = [line for line in text.splitlines() if line.strip()]
-    for what, parts in (("lines of JSON", lines), ("JSON", [text])):
-        for number, part in enumerate(parts, 1):
-            try:
-                json.loads(part)
-            except ValueError as error:
-                if number > 1:
-                    return f"{what}, of which line {number} is damaged"
-                if what == "JSON":
-                    at = getattr(error, "lineno", 1)
-                    return f"damaged JSON: it breaks off, or has something that is no JSON in line {at}"
-                break
-            except RecursionError:
-                break
+    for number, line in enumerate((line for line in text.splitlines() if line.strip()), 1):
+        try:
+            json.loads(line)
+        except (ValueError, RecursionError):
+            if number > 1:
+                return f"lines of JSON, of which line {number} is damaged"
+            break
+    try:
+        json.loads(text)
+    except ValueError as error:
+        at = getattr(error, "lineno", 1)
+        return f"damaged JSON: it breaks off, or has something that is no JSON in line {at}"
+    except RecursionError:
+        pass
     return "JSON whose lists lie too deep in one another"
+
+
+def _is_name(cell: str) -> bool:
+    try:
+        float(cell or "nan")
+    except ValueError:
+        return True
+    return False
+
+
+def _with_one_line_of_names(rows: list[list[str]]) -> list[list[str]]:
+    """A table's rows, with a single line of names where several stand above the numbers, as DeepLabCut and
+    pandas write them: of the last, and of the first that tells columns apart."""
+    count = next((i for i, row in enumerate(rows[:6]) if not all(map(_is_name, row[1:]))), 0)
+    if count < 2 or any(len(row) != len(rows[count]) for row in rows[:count]):
+        return rows
+    told = next((row for row in rows[: count - 1] if len(set(row[1:])) > 1), rows[count - 1])
+    names = ["_".join(pair) for pair in zip(told, rows[count - 1], strict=True)]
+    return [["frame" if rows[count - 1][0] == "coords" else names[0], *names[1:]], *rows[count:]]
 
 
 def _rows_of_trc(rows: list[list[str]]) -> list[list[str]]:
@@ -497,8 +526,11 @@ def _plain_of(data: bytes, contents: Callable[[str], bytes] | None = None) -> An
         raise safe_pickle.Refused("is damaged") from error
 
 
-def _listed(held: Any) -> str:
-    return f"a list of {len(held)}" if isinstance(held, list) else "a single value"
+def _held(value: Any) -> str:
+    """What an object of JSON or Python has in it."""
+    if isinstance(value, dict):
+        return _some(value)
+    return f"a list of {len(value)}" if isinstance(value, list) else "a single value"
 
 
 def _some(names: Iterable[Any]) -> str:

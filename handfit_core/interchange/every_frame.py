@@ -23,7 +23,7 @@ class EveryFrame:
     numbers: np.ndarray
     """(F,) int: the take's frame numbers, and those between that it lacks"""
     fps: float
-    """Of these frames"""
+    """Of the frames in equal steps"""
     hands: Mapping[Side, HandMotion]
     present: Mapping[Side, np.ndarray]
     """(F,) bool: where the take has each hand"""

@@ -4,7 +4,7 @@ becomes objects as JSON has them, from which `json_hands` takes the hands."""
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 
 from handfit_core.common.errors import InputError
 from handfit_core.common.files import shown
+from handfit_core.common.skeleton import NUM_KEYPOINTS
 from handfit_core.common.values import LARGEST_WHOLE
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.interchange.document import Document
@@ -38,11 +39,17 @@ class Frames:
     header: dict[str, Any] = field(default_factory=dict)
     """What stands beside the frames, by plain keys"""
     assumed: tuple[str, ...] = ()
-    order: str = ""
-    """Of `ORDERS`, where names tell it; empty: they do not"""
-    in_space: bool = False
-    """True if the file says that its points are in space"""
     intrinsics: Intrinsics | None = None
+    order: str = ""
+    """Of `ORDERS`, as the file tells; empty: it does not"""
+    in_space: bool = False
+    """True if points are in space, rather than in the plane with a depth"""
+    mirrored: bool = False
+    """True if sides count for mirrored pictures"""
+    halved: bool = False
+    """True if parts of the picture's size are from -1 to 1, rather than from 0"""
+    guessed: bool = False
+    """True if which hand is the left one is guessed by its place in a list"""
 
     @property
     def fps(self) -> float:
@@ -93,11 +100,8 @@ def rate_of(frames: np.ndarray, times: np.ndarray) -> float:
 
 def some_contents(document: Document) -> Iterator[Any]:
     """A document's JSON, or that of a folder's first files, as those of frames without anybody say little."""
-    if not document.is_folder:
-        yield document.json if document.json is not None else document.lines
-    else:
-        for file in document.files(".json")[: LIMITS.looked_at]:
-            yield Document(file).json
+    files = document.files(".json")[: LIMITS.looked_at]
+    return (each.json for each in (map(Document, files) if document.is_folder else [document]))
 
 
 def objects_in(content: Any, most: int = 2000) -> Iterator[Mapping[str, Any]]:
@@ -115,10 +119,10 @@ def objects_in(content: Any, most: int = 2000) -> Iterator[Mapping[str, Any]]:
         waiting += reversed(list(islice(each, most)))
 
 
-def frames_of_json(document: Document, is_one: Callable[[Any], bool], *, grouped: bool = False) -> Frames:
+def frames_of_json(document: Document, *, grouped: bool) -> Frames:
     """The frames of a folder of JSON files, of a list, of an object with a list or with frames by their
-    numbers, or of a single frame, of which `is_one` says that it is no list of frames. `grouped`: what has
-    the same number belongs to one frame. Raises InputError."""
+    numbers, or of a single frame. `grouped`: what has the same number belongs to one frame. Raises
+    InputError."""
     path = shown(document.path)
     if document.is_folder:
         files, assumed = _frame_files(document)
@@ -136,9 +140,11 @@ def frames_of_json(document: Document, is_one: Callable[[Any], bool], *, grouped
     if listed is not None:
         content = listed
         header = {k: v for k, v in header.items() if k == "images" or not isinstance(v, list | dict)}
-    alone = is_one(content)
+    # MMPose's persons stand in a list without a frame about it.
+    persons = isinstance(content, list) and content and "keypointscores" in keyed(content[0])
+    alone = persons or is_hand(content)
     numbers = [_counted(key) for key in content] if isinstance(content, Mapping) and not alone else []
-    if numbers and None not in numbers:
+    if isinstance(content, Mapping) and numbers and None not in numbers:
         of = next(iter(content.values()))
         if isinstance(of, Mapping) and of and all(map(_digits, of)):
             if len(content) > 1:
@@ -239,14 +245,9 @@ def number_in(content: Any) -> int | None:
 # Arrays
 
 
-def arrays_of(document: Document) -> dict[str, np.ndarray]:
-    """The arrays of a .npy, a .npz or a table without names that may be hands' points, by their names:
-    (T, P, K, D), T frames of P hands or persons with K points each."""
-    return points_among(document.arrays)
-
-
 def points_among(arrays: Mapping[str, np.ndarray | None]) -> dict[str, np.ndarray]:
-    """Those of the arrays that may be hands' points, as (T, P, K, D)."""
+    """Those of the arrays that may be hands' points: (T, P, K, D), T frames of P hands or persons with K
+    points each."""
     return {name: laid for name, array in arrays.items() if (laid := _laid_out(array)) is not None}
 
 
@@ -257,6 +258,8 @@ def _laid_out(array: np.ndarray | None) -> np.ndarray | None:
         return None
     if array.ndim == 2 and array.shape[0] in counts and array.shape[1] in (2, 3, 4):
         return array[None, None]
+    if array.ndim == 2 and array.shape[1] in (2, 3) and array.size and len(array) % NUM_KEYPOINTS == 0:
+        return array.reshape(-1, 1, NUM_KEYPOINTS, array.shape[1])
     if array.ndim == 2 and array.size:
         if len(array) > 1 and (np.diff(array[:, 0]) == 1.0).all():
             array = array[:, 1:]  # The first column counts frames.
@@ -269,8 +272,12 @@ def _laid_out(array: np.ndarray | None) -> np.ndarray | None:
     return array if fits and 0 < array.shape[1] < 20 else None
 
 
-def frames_of_arrays(document: Document, arrays: Mapping[str, np.ndarray], first: int) -> Frames | None:
-    """The frames, counted from `first`, of `arrays_of` a document; None without any. Raises ValueError."""
+def frames_of_arrays(
+    document: Document, arrays: Mapping[str, np.ndarray | None], first: int
+) -> Frames | None:
+    """The frames, counted from `first`, of arrays of points in a document; None where none are among them.
+    Raises ValueError."""
+    arrays = points_among(arrays)
     widest = max((array.shape[-1] for array in arrays.values()), default=0)
     arrays = {name: array for name, array in arrays.items() if array.shape[-1] == widest}
     if not arrays:

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, Side
-from handfit_core.interchange.orders import width_of
+from handfit_core.interchange.orders import HANDS, width_of
 from handfit_core.interchange.point_names import KEYS, place_of, plain, side_named
 from handfit_core.interchange.settings import LIMITS
 
@@ -81,7 +81,9 @@ def hands_in(content: Any, columns: Mapping[int, str], depth: int = 0) -> Iterat
         return
     key = next((key for key in PICTURE if key in of), "")
     world_key = next((key for key in WORLD if key in of), "")
-    if key or world_key:
+    if isinstance(inner := of.get(key), Mapping) and not is_hand(inner) and not world_key:
+        yield from hands_in(inner, columns, depth + 1)
+    elif key or world_key:
         points, world = (_as_hands(of.get(each)) for each in (key, world_key))
         mirrored = key == "multihandlandmarks"
         yield from _several(points, world, _sides_in(of), of, columns, mirrored=mirrored)
@@ -169,8 +171,12 @@ def _flat(value: list[Any]) -> bool:
 
 def is_hand(value: Any) -> bool:
     """True if this is one hand rather than a list of hands."""
+    value = _pointwise(value)
     if isinstance(value, Mapping):
-        return "landmark" in value or sum(place_of(key) is not None for key in value) >= NUM_KEYPOINTS // 2
+        places = [
+            key for key, point in value.items() if place_of(key) is not None and not _is_frame(key, point)
+        ]
+        return "landmark" in value or len(places) >= NUM_KEYPOINTS // 2
     if not isinstance(value, list) or not value:
         return isinstance(value, np.ndarray)
     first = next((each for each in value if each is not None), None)
@@ -181,6 +187,22 @@ def is_hand(value: Any) -> bool:
     return isinstance(first, list) and 2 <= len(first) <= 4 and all(isinstance(n, int | float) for n in first)
 
 
+def _pointwise(value: Any) -> Any:
+    """The points of a hand whose x, y and z stand in lists, or by numbers, of their own, as pandas writes
+    tables; anything else as it is."""
+    of = keyed(value)
+    axes = [list(of[a].values()) if isinstance(of[a], Mapping) else of[a] for a in "xyz" if a in of]
+    if len(axes) < 2 or not all(isinstance(axis, list) and len(axis) in HANDS for axis in axes):
+        return value
+    return [list(point) for point in zip(*axes, strict=True)]
+
+
+def _is_frame(key: str, value: Any) -> bool:
+    """True if a key counts a frame, which has lists or objects in it, rather than a point."""
+    within = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
+    return key.isdigit() and (len(within) > 8 or any(isinstance(each, list | Mapping) for each in within))
+
+
 def _numbers(hand: Any, columns: Mapping[int, str]) -> tuple[np.ndarray, bool]:
     """(N, 8) `_AXES` of whatever stands for points, and whether their names tell which they are. Raises
     ValueError, TypeError."""
@@ -188,6 +210,7 @@ def _numbers(hand: Any, columns: Mapping[int, str]) -> tuple[np.ndarray, bool]:
         return np.pad(hand, ((0, 0), (0, len(_AXES) - hand.shape[1])), constant_values=np.nan), False
     if isinstance(hand, Mapping) and "landmark" in hand:
         hand = hand["landmark"]
+    hand = _pointwise(hand)
     if isinstance(hand, list) and hand and all(isinstance(each, Mapping) for each in hand):
         names = [each.get("name", each.get("part")) for each in hand]
         if all(isinstance(name, str) for name in names):
@@ -207,7 +230,10 @@ def _numbers(hand: Any, columns: Mapping[int, str]) -> tuple[np.ndarray, bool]:
             )
         hand = [hand[i : i + size] for i in range(0, len(hand), size)]
     points = [_point(value, columns) for value in hand]
-    return np.array(points, dtype=np.float64).reshape(-1, len(_AXES)), named
+    try:
+        return np.array(points, dtype=np.float64).reshape(-1, len(_AXES)), named
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError("a point has something that is no number") from error
 
 
 def _point(value: Any, columns: Mapping[int, str]) -> list[Any]:

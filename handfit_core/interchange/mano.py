@@ -34,7 +34,7 @@ POSE: Final = 45
 """Numbers of a hand's pose, axis-angle"""
 
 Counted = Literal["flat", "mean"]
-"""What poses count from: the flat hand, or the mean pose of MANO"""
+"""The zero of poses: the flat hand, or the mean pose of MANO"""
 
 
 def numbers(name: str, value: Any, *shape: int) -> np.ndarray:
@@ -160,7 +160,7 @@ class FoundHands(Batch):
     side: np.ndarray = array("N", kind="i")
     """Which of SIDES"""
     person: np.ndarray = array("N", kind="i")
-    """Whose it is, of each side; -1 where the file does not tell"""
+    """The person, counted for each side; -1 where the file does not say"""
     betas: np.ndarray = array("N", NUM_BETAS)
     """NaN: not told"""
     global_orient: np.ndarray = array("N", 3)
@@ -215,7 +215,7 @@ class FoundHands(Batch):
 
     @property
     def nowhere(self) -> bool:
-        """Whether the file does not tell some hand's place."""
+        """True if the place of some hand is not known."""
         return bool(np.isinf(self.transl).any())
 
 

@@ -39,10 +39,14 @@ _WORLDS: Final = {**UP_AXES, "OpenGL": np.diag([1.0, -1.0, -1.0])}
 class ManoLayout:
     """How a program keeps MANO's parameters in a file, or in the files of a folder."""
 
-    source: str
+    name: str = ""
+    title: str = ""
+    phrase: str = ""
+    """Such a file, as a phrase for messages and lists"""
+    source: str = ""
     """The address where this is written down"""
-    keys: str
-    """What has which name in a file, as in "betas right=right|is_right": of `global_orient`, `hand_pose`,
+    keys: str = ""
+    """The names of values in a file, as in "betas right=right|is_right": of `global_orient`, `hand_pose`,
     `transl`, `betas`, `right` (1 and 0), `frame`, `time` (nanoseconds), `present`, `fps`, `focal`, `size`,
     `intrinsics` (fx, fy, cx, cy, or a matrix), `cam_R`, `cam_t`, `model`; with `body_pose`, `global_orient`
     is a body's. `SIDE` stands for left and right"""
@@ -51,10 +55,10 @@ class ManoLayout:
     met: str = ""
     """The real file that it was tried with, and when; empty: it is read by its description"""
     rows: Literal["hands", "sides", "tracks"] = "hands"
-    """What rows are: hands; the frames of each side; or tracks with frames, whose sides are `right`, else a
-    left and a right hand"""
+    """The kind of rows: hands; the frames of each side; or tracks with frames, whose sides are `right`, else
+    a left and a right hand"""
     side: Literal["", "right", "asked"] = ""
-    """Whose all hands are, where a file has one side: right, or what --hands says"""
+    """The side of all hands, where a file has one: right, or the one that --hands names"""
     sides: Mapping[str, Side] = field(default_factory=lambda: {side: side for side in SIDES})
     """Keys and folders that have the hands of one side"""
     nested: str = ""
@@ -69,21 +73,25 @@ class ManoLayout:
     """An expression that names of a folder's files match; with groups, the number of the (first) `frame` and
     of the `person`, each of these files must have hands"""
     matrices: bool = False
-    """Whether poses are only recognised by being matrices"""
+    """True if only poses that are matrices are recognised"""
     directions: bool = False
-    """Whether poses are coefficients of MANO's principal directions, even if there are 45"""
+    """True if poses are coefficients of MANO's principal directions, even if there are 45"""
     counted: mano.Counted = "flat"
     mean_model: str = ""
     """The `model` with which poses count from the mean"""
     mirrored: Literal["no", "hands", "world"] = "no"
-    """Whether left hands are right ones in a mirror, which takes their places along or not"""
+    """If left hands are stored as right ones in a mirror: with their places (world) or without (hands)"""
     world: str = ""
     """The frame that hands are in, one of _WORLDS; empty: the camera's"""
     first_frame: int = 0
-    """What is added to the frames' numbers"""
+    """An offset of the frames' numbers"""
     assumed: tuple[str, ...] = ()
+    assumes: str = ""
+    """Assumptions about every file, for the table of docs/interchange.md"""
+    also: tuple[ManoLayout, ...] = ()
+    """Others that the program has, less particular ones"""
     mirrored_by: str = ""
-    """What to do, or to think, where left hands bend as if mirrored"""
+    """Advice where left hands bend as if mirrored"""
 
     @cached_property
     def names(self) -> dict[str, list[str]]:
@@ -97,6 +105,24 @@ class ManoLayout:
         of several."""
         told = {name: what for what, names in self.names.items() for name in reversed(names)}
         return told | {key: key for key in self.columns}
+
+    @property
+    def reader(self) -> Reader:
+        """The reader of files in this layout, or in one of the program's others."""
+        layouts = (self, *self.also)
+
+        def read(document: Document, asked: ReadOptions) -> Recording:
+            fits = (each for each in layouts if _recognises(each, document))
+            return _read(self.name, next(fits, self), document, asked)
+
+        return Reader(
+            self.title,
+            self.phrase,
+            lambda document: any(_recognises(each, document) for each in layouts),
+            read,
+            "; ".join(each.met for each in layouts if each.met),
+            self.assumes,
+        )
 
     def plain(self, name: str) -> str:
         """A name without that of a dictionary within, as in `mano.betas`."""
@@ -114,7 +140,7 @@ class _Part:
     name: str = ""
     """The names of the file and of the keys that it stands under, as far as they have numbers"""
     fixed: Mapping[str, int] = field(default_factory=dict)
-    """What names of files, folders and keys say: `frame`, `person`, `side`"""
+    """Numbers from the names of files, folders and keys: `frame`, `person`, `side`"""
 
     def __contains__(self, what: str) -> bool:
         return what in self.values
@@ -122,20 +148,27 @@ class _Part:
     def numbers(self, what: str, *shape: int) -> np.ndarray | None:
         return mano.numbers(*self.values[what], *shape) if what in self else None
 
+    def rows(self, what: str, count: int, *shape: int) -> np.ndarray | None:
+        """(count, *shape) numbers; None where there are none. Raises Unfit for another number of rows."""
+        found = self.numbers(what, *shape)
+        if found is not None and len(found) != count:
+            raise Unfit(f"{self.values[what][0]} has {len(found)} rows where {count} are expected")
+        return found
+
     def rotations(self, what: str, joints: int, count: int | None = None) -> np.ndarray:
         return mano.rotations(*self.values[what], joints, count)
 
     @property
     def is_hands(self) -> bool:
-        """Whether all is there that the layout needs, for one side at least."""
+        """True if all that the layout needs is there, for one side at least."""
         columns = [widths for key, widths in self.layout.columns.items() if key in self]
         told = {*self.values, *(what for each in columns for parts in each.values() for what in parts)}
         needs = [self.layout.needs.replace("SIDE", side).split() for side in SIDES if self.values]
         return any(all(told & {*what.split("|")} for what in of) for of in needs)
 
     def within(self, steps: Sequence[str | int], held: Mapping[str, Any]) -> _Part:
-        """What stands in a file, where the keys, names and places of lists lead to, with the values of `held`
-        that are wanted."""
+        """The part that these keys, names and places in lists lead to, with the values of `held` that are
+        wanted."""
         layout, values = self.layout, dict(self.values)
         for name, what in layout.wanted.items():
             widths = [(width,) for width in layout.columns.get(name, ())]
@@ -173,8 +206,8 @@ class _Part:
 
 
 def _values(held: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
-    """What is in dictionaries and lists, with the keys and the places, from 1, that lead to it; a list of
-    numbers is one value."""
+    """The values in dictionaries and lists, with the keys and the places, from 1, that lead to each; a list
+    of numbers is one value."""
     first = held
     while isinstance(first, list) and first:
         first = first[0]
@@ -191,7 +224,7 @@ def _values(held: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple
 def _in_file(document: Document, part: _Part, most: int | None) -> Iterator[_Part]:
     """The hands among the first `most` values of a file, each with what stands around it."""
     layout, nested = part.layout, part.layout.nested.split()
-    held = document.lines if document.held is None else document.held
+    held = document.held
     if document.npz is not None:
         known = {*layout.wanted, *layout.sides, *nested}
         held = {name: document.value(name) for name in document.names if layout.plain(name) in known}
@@ -252,7 +285,8 @@ def _sided(part: _Part, path: Path, assumed: list[str]) -> Iterator[tuple[_Part,
         joints = part.rotations("body_pose", mano.BODY_JOINTS)
         pelvis = part.rotations("global_orient", 1, len(joints))
         wrists = {side: mano.wrist_of_body(pelvis, joints, side) for side in SIDES}
-        tell(assumed, _NO_PLACE)
+        said = "where the wrists are is not known without the body's model: each hand stays in its place"
+        tell(assumed, f"{said}, and only turns")
         turn = mano.standing(pelvis, assumed) if "person" not in part.fixed else None
     for index, side in enumerate(SIDES):
         if f"{side}_hand_pose" in part:
@@ -263,37 +297,28 @@ def _sided(part: _Part, path: Path, assumed: list[str]) -> Iterator[tuple[_Part,
             yield replace(part, values=values, fixed={"person": 0, **part.fixed, "side": index}), turn
 
 
-_NO_PLACE: Final = (
-    "where the wrists are is not known without the body's model: each hand stays in its place, and only turns"
-)
-
-
 def _hands(part: _Part, asked: ReadOptions, path: Path, assumed: list[str]) -> FoundHands:
     """The hands of a part, as its own frame has them. Raises Unfit, InputError and OptionError."""
     layout, (name, value) = part.layout, part.values["hand_pose"]
     shape = np.shape(value)[-2:]
     LIMITS.check(path, np.size(value) // (9 * 15 if shape == (3, 3) else POSE), 2)
-    side, person, frames = _whose(part, asked, path, assumed)
+    side, person = _whose(part, asked, path, assumed)
     count = side.size if side.ndim else None
     directions = layout.directions or (np.size(value) and shape[-1:] and shape[-1] < POSE and shape[-1] != 3)
     pose = mano.numbers(name, value, shape[-1]) if directions else mano.rotations(name, value, 15, count)
     count = len(pose)
-    orient, side, place = part.rotations("global_orient", 1, count), np.broadcast_to(side, count), np.inf
+    orient, side = part.rotations("global_orient", 1, count), np.broadcast_to(side, count)
     if directions:
         pose = mano.from_directions(pose, side, asked)
-    frames = _frames(part, side, assumed) if frames is None else frames
-    if "transl" in part and len(place := mano.numbers(*part.values["transl"], 3)) != count:
-        raise Unfit(f"{part.values['transl'][0]} has {len(place)} rows where {count} are expected")
-    person, place = np.broadcast_to(person, count), np.broadcast_to(place, (count, 3))
+    frames, place = _frames(part, side, assumed), part.rows("transl", count, 3)
+    place = np.full((count, 3), np.inf) if place is None else place
+    person = np.broadcast_to(person, count)
     found = FoundHands(frames, side, person, _shapes(part, count), orient, pose, place)
     there = np.any(np.concatenate([orient, pose, place], axis=1) != 0.0, axis=1)
     if "present" in part:
-        name, value = part.values["present"]
-        rows = mano.numbers(name, value, 1)[:, 0]
-        rows = rows if len(rows) == count else mano.numbers(name, value, 2)[:, int(side[0])]
-        if len(rows) != count:
-            raise Unfit(f"{name} tells of {len(rows)} frames whether there is a hand, and there are {count}")
-        there &= rows > 0.0
+        both = np.size(part.values["present"][1]) == 2 * count
+        rows = part.rows("present", count, 1 + both)
+        there &= rows is not None and rows[:, int(side[0]) if both else 0] > 0.0
     if not there.all():  # Nothing but zeros is the place of a hand that was not there.
         gone = {n: np.where(there[:, None], getattr(found, n), np.nan) for n in ("betas", *POSE_ARRAYS)}
         found = replace(found, **gone)
@@ -302,8 +327,8 @@ def _hands(part: _Part, asked: ReadOptions, path: Path, assumed: list[str]) -> F
 
 def _whose(
     part: _Part, asked: ReadOptions, path: Path, assumed: list[str]
-) -> tuple[np.ndarray, np.ndarray | int, np.ndarray | None]:
-    """Which of SIDES each row is of (N,), or all rows are of (); whose; and tracks' frames. Raises Unfit."""
+) -> tuple[np.ndarray, np.ndarray | int]:
+    """Which of SIDES each row is of (N,), or all rows are of (), and whose. Raises Unfit."""
     which = part.layout.side
     if part.layout.rows == "tracks":
         of = "right" if "right" in part else "present"
@@ -314,19 +339,18 @@ def _whose(
         is_right = np.mean(flags > 0.5, axis=1) >= 0.5 if of == "right" else np.arange(2) > 0
         person = [int(np.sum(is_right[:track] == each)) for track, each in enumerate(is_right)]
         sides = np.where(is_right, SIDES.index("right"), SIDES.index("left"))
-        frames = np.tile(np.arange(1, count + 1), len(flags))
-        return np.repeat(sides, count), np.repeat(person, count), frames
+        return np.repeat(sides, count), np.repeat(person, count)
     if "side" in part.fixed:
-        return np.array(part.fixed["side"]), part.fixed.get("person", -1), None
+        return np.array(part.fixed["side"]), part.fixed.get("person", -1)
     if which == "asked":
         which = "left" if asked.hands == "left" else "right"
         tell(assumed, f"it was taken for a {which} hand, as the file does not say (--hands)")
     if which:
-        return np.array(SIDES.index(which)), -1, None
+        return np.array(SIDES.index(which)), -1
     right = part.numbers("right", 1)
     if right is None or not np.isin(right, (0.0, 1.0)).all():
         raise Unfit("right must be 1 for right hands and 0 for left ones")
-    return np.where(right[:, 0] > 0.0, SIDES.index("right"), SIDES.index("left")), -1, None
+    return np.where(right[:, 0] > 0.0, SIDES.index("right"), SIDES.index("left")), -1
 
 
 def _shapes(part: _Part, count: int) -> np.ndarray:
@@ -342,6 +366,9 @@ def _shapes(part: _Part, count: int) -> np.ndarray:
 def _frames(part: _Part, side: np.ndarray, assumed: list[str]) -> np.ndarray:
     """Each hand's frame; any where the part's name has it. Raises Unfit."""
     count, sides = len(side), part.layout.rows == "sides"
+    if part.layout.rows == "tracks":
+        frames = np.shape(part.values["right" if "right" in part else "present"][1])[1]
+        return np.tile(np.arange(1, frames + 1), count // frames)
     if "frame" in part.fixed:
         return part.fixed["frame"] + np.arange(count)
     if "frame" in part:
@@ -510,21 +537,3 @@ def _camera(
     if not len(focals):
         tell(assumed, f"a focal length of {focal:.0f} pixels, the networks' own for this size")
     return size, Intrinsics(focal, focal, size[0] / 2.0, size[1] / 2.0)
-
-
-def mano_reader(name: str, title: str, layout: str, assumed: str, *layouts: ManoLayout) -> Reader:
-    """A reader of files in one of the layouts, the more particular ones first; `name`: the reader's own,
-    `title`, `layout` and `assumed` as `Reader` has them."""
-
-    def read(document: Document, asked: ReadOptions) -> Recording:
-        fits = [each for each in layouts if _recognises(each, document)]
-        return _read(name, (fits or layouts)[0], document, asked)
-
-    return Reader(
-        title,
-        layout,
-        lambda document: any(_recognises(each, document) for each in layouts),
-        read,
-        "; ".join(each.met for each in layouts if each.met),
-        assumed,
-    )

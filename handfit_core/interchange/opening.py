@@ -24,7 +24,9 @@ from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source
 from handfit_core.take import is_take
 
-DATA_SUFFIXES: Final = frozenset(".json .jsonl .csv .tsv .trc .txt .npz .npy .bvh .pkl .pth .pt".split(" "))
+DATA_SUFFIXES: Final = frozenset(
+    ".json .jsonl .csv .tsv .trc .txt .npz .npy .bvh .pose .pkl .pickle .joblib .pth .pt".split()
+)
 """Endings of files that are read as recordings, whatever they are"""
 
 NO_RATE: Final = f"frames per second are not told: {DEFAULT_FPS:g} (--fps tells them)"
@@ -69,7 +71,7 @@ class RecordedMedia(Media):
 
 
 def is_recording(source: MediaInput) -> bool:
-    """Whether an input is a file that no pictures are in, by its ending, or a folder of such files."""
+    """True if an input is a file of data by its ending, or a folder of such files and no pictures."""
     if not isinstance(source, str | os.PathLike):
         return len(source) == 1 and is_recording(source[0])
     path = Path(source)
@@ -83,7 +85,7 @@ def is_recording(source: MediaInput) -> bool:
 
 
 def _holds_data(document: Document) -> bool:
-    """Whether files of data are in a folder, or lie in folders of it as a reader knows them."""
+    """True if files of data are in a folder, or in folders of it as a reader knows them."""
     if document.files(*(DATA_SUFFIXES - {".txt"})):  # Notes lie beside clips.
         return True
     return any(reader.recognises(document) for reader in READERS.built_in().values())

@@ -1,14 +1,16 @@
-"""Hands of points as files have them, half known, made into a recording's: order, sides, units."""
+"""Hands of points as files have them, half known, made into a recording's: order, sides, units. To `said`,
+phrases for people, each function adds what it assumed."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from handfit_core.common.skeleton import SIDES, Side, other_side
+from handfit_core.interchange.frames import Frames
 from handfit_core.interchange.orders import ORDERS, order_by_bones
 from handfit_core.interchange.recording import UNKNOWN, PointsHand, SeenHands, known
 
@@ -16,45 +18,26 @@ LEAST_SURE: Final = 0.3
 """What `share_left` must differ from 0 before it is believed"""
 
 
-@dataclass(frozen=True, eq=False)
-class ParsedPoints:
-    """The hands of a file, in its own coordinates, and what it says of them."""
-
-    hands: SeenHands
-    size: tuple[int, int] | None = None
-    in_space: bool = False
-    """True if points are in space, rather than in the plane with a depth"""
-    mirrored: bool = False
-    """True if sides count for mirrored pictures"""
-    halved: bool = False
-    """True if parts of the picture's size are from -1 to 1, rather than from 0"""
-    order: str = ""
-    """Of `ORDERS`, as the file tells; empty: it does not"""
-    guessed: bool = False
-    """True if which hand is the left one is guessed by its place in a list"""
-
-
-def in_order(parsed: ParsedPoints, order: str | None, *, parts: bool) -> tuple[SeenHands, tuple[str, ...]]:
-    """The hands in MediaPipe's order, and what is said of it. `order`: the one that is asked for, if any;
-    `parts`: whether points in the plane are parts of the picture's size. Raises ValueError if none fits."""
-    hands, said = parsed.hands, ""
-    name, count = order or parsed.order, hands.points.shape[1]
+def ordered(
+    hands: SeenHands, frames: Frames, order: str | None, said: list[str], *, parts: bool
+) -> SeenHands:
+    """The hands in MediaPipe's order. `order`: the one that is asked for, if any; `parts`: whether points in
+    the plane are parts of the picture's size. Raises ValueError if none fits."""
+    name, count = order or frames.order, hands.points.shape[1]
     if not name:
         deep = known(hands.world).all(axis=1).any()
         shapes = hands.world if deep else np.where((hands.confidence > 0.0)[..., None], hands.points, np.nan)
-        if parsed.size is not None and parts:
-            shapes = shapes * [parsed.size[0] / parsed.size[1], 1.0, 1.0]
-        in_space = bool(deep) or parsed.in_space or is_world(hands)
-        name, said = order_by_bones(shapes, in_space=in_space, parts=parts and parsed.size is None)
-    layout = ORDERS[name]
-    if layout.count != count:
-        raise ValueError(f"its hands have {count} points, and the order {name} has {layout.count}")
-    placed = {name: layout.of(value) for name in _OF_POINTS if (value := getattr(hands, name)) is not None}
-    sure = np.nan_to_num(layout.of(hands.confidence[..., None])[..., 0])
-    return replace(hands, confidence=sure, **placed), (said,) if said else ()
-
-
-_OF_POINTS: Final = ("points", "world", "turns")
+        if frames.size is not None and parts:
+            shapes = shapes * [frames.size[0] / frames.size[1], 1.0, 1.0]
+        in_space = bool(deep) or frames.in_space or is_world(hands)
+        name, told = order_by_bones(shapes, in_space=in_space, parts=parts and frames.size is None)
+        said.append(told)
+    of = ORDERS[name]
+    if of.count != count:
+        raise ValueError(f"its hands have {count} points, and the order {name} has {of.count}")
+    sure = np.nan_to_num(of.of(hands.confidence[..., None])[..., 0])
+    turns = None if hands.turns is None else of.of(hands.turns)
+    return replace(hands, points=of.of(hands.points), confidence=sure, world=of.of(hands.world), turns=turns)
 
 
 def is_world(hands: SeenHands) -> bool:
@@ -77,12 +60,12 @@ def in_metres(hands: SeenHands) -> bool:
 
 
 def tracks_of(
-    hands: SeenHands, frames: int, *, counted: bool
-) -> tuple[list[tuple[Side, np.ndarray]], tuple[str, ...]]:
+    hands: SeenHands, frames: int, said: list[str], *, counted: bool
+) -> list[tuple[Side, np.ndarray]]:
     """Sides and x, y, z of the points (T, 21, 3) of hands over all T frames, or with quaternions (T, 21, 7)
-    if there are any, and what was assumed: each that is `counted`, else one of each side, in a frame the
-    surest, and of those that are as sure the first."""
-    found, said = [], []
+    if there are any: each that is `counted`, else one of each side, in a frame the surest, and of those that
+    are as sure the first."""
+    found = []
     values = np.where((hands.confidence > 0.0)[..., None], hands.points, np.nan)
     if hands.turns is not None:
         values = np.concatenate([values, hands.turns], axis=-1)
@@ -98,20 +81,21 @@ def tracks_of(
         found.append((side, track))
         _, times = np.unique(hands.row[mine], return_counts=True)
         if several := int((times > 1).sum()):
-            which_ones = "frame has" if several == 1 else "frames have"
-            said.append(f"{several} {which_ones} several {side} hands: the first was taken")
-    return found, tuple(said)
+            have = "frame has" if several == 1 else "frames have"
+            said.append(f"{several} {have} several {side} hands: the first was taken")
+    return found
 
 
-def metres_of(hands: tuple[PointsHand, ...], units: Mapping[str, float]) -> tuple[float, tuple[str, ...]]:
-    """Metres of one of the file's units, by the palm's length, and what is said where it is not the first.
-    Raises ValueError where none of the units makes a hand of it."""
+def metres_of(hands: Sequence[PointsHand], units: Mapping[str, float], said: list[str]) -> float:
+    """Metres of one of the file's units, by the palm's length. Raises ValueError where none of the units
+    makes a hand of it."""
     usual = next(iter(units))
     palms = np.concatenate([np.linalg.norm(h.points[:, 9] - h.points[:, 0], axis=-1) for h in hands])
     palm = float(np.nanmedian(palms)) if np.isfinite(palms).any() else np.nan
     for name, unit in units.items():
         if 0.036 < palm * unit < 0.225:
-            return unit, () if name == usual else (f"its unit is {name}, by the palm's length",)
+            said += [] if name == usual else [f"its unit is {name}, by the palm's length"]
+            return unit
     raise ValueError(
         f"its palms are {palm:.3g} long from the wrist to the middle finger's knuckle; expected about "
         f"{0.09 / units[usual]:g}, in {usual}"
@@ -140,66 +124,61 @@ def share_left(points: np.ndarray, signs: np.ndarray | float = 1.0) -> float:
     return float(bent.sum()) / total if total > 0.0 else 0.0
 
 
-def odd_sides(hands: tuple[PointsHand, ...]) -> tuple[str, ...]:
+def odd_sides(hands: Sequence[PointsHand]) -> list[str]:
     """What is said of hands that look like the other side's."""
-    return tuple(
+    return [
         f"its {hand.side} hand bends like a {other_side(hand.side)} one: its files may be swapped or mirrored"
         for hand in hands
         if share_left(hand.points, 1.0 if hand.side == "left" else -1.0) < -LEAST_SURE
-    )
+    ]
 
 
-def own_sides(
-    hands: SeenHands, shapes: np.ndarray, mirrored: bool | None
-) -> tuple[SeenHands, tuple[str, ...]]:
-    """The hands, left and right swapped where labels count for mirrored pictures, and what is said of it.
+def own_sides(hands: SeenHands, shapes: np.ndarray, said: list[str], *, mirrored: bool) -> SeenHands:
+    """The hands, left and right swapped where labels count for mirrored pictures.
 
     `shapes` (N, 21, 3): what is known of their shape in space. `mirrored`: what the file's layout says.
     """
     told = hands.side != UNKNOWN
     signs = np.where(hands.side == SIDES.index("left"), 1.0, -1.0)
     share = share_left(shapes[told], signs[told])
-    swap = share < 0.0 if abs(share) > LEAST_SURE else bool(mirrored)
-    if not told.any() or not swap:
-        return hands, ()
-    how = (
-        "as its fingers bend"
-        if abs(share) > LEAST_SURE
-        else "as multi_handedness names them for mirrored pictures"
-    )
-    said = f"left and right are swapped, {how}"
-    return replace(hands, side=np.where(told, 1 - hands.side, hands.side)), (said,)
+    by_fingers = abs(share) > LEAST_SURE
+    if not told.any() or not (share < 0.0 if by_fingers else mirrored):
+        return hands
+    how = "as its fingers bend" if by_fingers else "as multi_handedness names them for mirrored pictures"
+    said.append(f"left and right are swapped, {how}")
+    return replace(hands, side=np.where(told, 1 - hands.side, hands.side))
 
 
-def with_sides(hands: SeenHands, wanted: str, shapes: np.ndarray) -> tuple[SeenHands, tuple[str, ...]]:
-    """The hands, all with a side, and what was assumed for it.
+def with_sides(hands: SeenHands, wanted: str, shapes: np.ndarray, said: list[str]) -> SeenHands:
+    """The hands, all with a side.
 
     `wanted` is the option of the sides that are to be kept: where it names one, hands of unknown side are of
     it. `shapes` (N, 21, 3): what they look like in space; NaN: not known.
     """
     unknown = hands.side == UNKNOWN
-    side, said = hands.side.copy(), set()
+    side, ways = hands.side.copy(), set()
     for hand in np.unique(hands.hand[unknown]):
         mine = unknown & (hands.hand == hand)
         looks = share_left(shapes[mine])
         if wanted in SIDES:
-            told, how = wanted, f"a {wanted} hand, as asked for"
+            told, how = wanted, "as asked for"
         elif abs(looks) > LEAST_SURE:
-            told = SIDES[0 if looks > 0.0 else 1]
-            how = f"a {told} hand, as its fingers bend"
+            told, how = SIDES[0 if looks > 0.0 else 1], "as its fingers bend"
         else:
-            told, how = "right", "a right hand (--hands left for a left one)"
+            told, how = "right", ""
         side[mine] = SIDES.index(told)
-        said.add(f"which hand it is is not told: {how}")
-    return replace(hands, side=side), tuple(sorted(said))
+        ways.add(f"a {told} hand" + (f", {how}" if how else " (--hands left for a left one)"))
+    said += [f"which hand it is is not told: {way}" for way in sorted(ways)]
+    return replace(hands, side=side)
 
 
-def without_hidden(hands: SeenHands, least: float) -> tuple[SeenHands, tuple[str, ...]]:
-    """The hands whose points have a mean confidence of `least` or more, and what was left out: programs that
-    look for whole people tell of hidden hands, too."""
+def without_hidden(hands: SeenHands, least: float, said: list[str]) -> SeenHands:
+    """The hands whose points have a mean confidence of `least` or more: programs that look for whole people
+    tell of hidden hands, too."""
     count = np.maximum((hands.confidence > 0.0).sum(axis=1), 1)
-    kept = hands.confidence.sum(axis=1) / count >= least
-    if kept.all():
-        return hands, ()
-    said = f"{int((~kept).sum())} of {len(kept)} hands are left out: their mean confidence is below {least:g}"
-    return hands.select(np.flatnonzero(kept)), (said,)
+    shown = hands.confidence.sum(axis=1) / count >= least
+    if shown.all():
+        return hands
+    out = int((~shown).sum())
+    said.append(f"{out} of {len(shown)} hands are left out: their mean confidence is below {least:g}")
+    return hands.select(shown)

@@ -21,7 +21,7 @@ _SIDE_WORDS: Final[dict[str, Side]] = {
     **dict.fromkeys(("right", "righthand", "r", "rh"), SIDES[1]),
 }
 _FILLING: Final = frozenset(
-    "hand landmark landmarks lm kp kpt point keypoint joint p pt h mediapipe norm px device".split()
+    "hand landmark landmarks lm kp kpt point keypoint joint p pt h mediapipe norm px device position".split()
 )
 
 
@@ -51,7 +51,7 @@ XR_NAMES: Final = frozenset(
 """Those of joints as headsets have them, in metres"""
 _AROUND: Final = re.compile(r"finger|phalanx|joint|xrhand|hand|ext$|^xr|left|right")
 KEYS: Final = {
-    "frame": "frame frameid framenumber frameindex frameidx frameno framenum imageid image file".split(),
+    "frame": "frame frameid framenumber frameindex frameidx frameno framenum fnum imageid image file".split(),
     "time": (
         "timestamp timestampms timestampinmilliseconds timestamps time times timem timems t "
         "predicteddisplaytime trackingtimestampus timestampus"
@@ -103,7 +103,7 @@ def short(name: str) -> str:
 
 
 def is_apple(name: str) -> bool:
-    """Whether a point's or a column's name is Apple's Vision's alone: its keys, and its thumb's MP."""
+    """True if only Apple's Vision calls a point so: by its keys, and the MP of its thumb."""
     return bool(_APPLE_CODE.search(name)) or bool(_APPLE_THUMB.search(name))
 
 
@@ -129,9 +129,9 @@ class PointColumn:
     hand: int
     """Which hand, where columns number them"""
     named: bool
-    """Whether its point is named rather than numbered"""
+    """True if its point is named rather than numbered"""
     world: bool
-    """Whether it is in metres about the hand's middle, as MediaPipe's world landmarks"""
+    """True if it is in metres about the hand's middle, as MediaPipe's world landmarks"""
 
 
 def point_columns(names: Sequence[str]) -> list[PointColumn]:

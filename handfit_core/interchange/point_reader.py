@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -17,22 +18,20 @@ from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.document import Document, Table
 from handfit_core.interchange.frames import (
     Frames,
-    arrays_of,
     frames_of_arrays,
     frames_of_json,
     objects_in,
     some_contents,
 )
-from handfit_core.interchange.json_hands import JsonHand, hands_in, is_hand, keyed
+from handfit_core.interchange.json_hands import JsonHand, hands_in, keyed
 from handfit_core.interchange.opening import RELATIVE, scaled
 from handfit_core.interchange.orders import BODIES, HANDS, WHOLE_BODIES
 from handfit_core.interchange.point_hands import (
-    ParsedPoints,
     in_metres,
-    in_order,
     is_world,
     metres_of,
     odd_sides,
+    ordered,
     own_sides,
     tracks_of,
     with_sides,
@@ -50,7 +49,7 @@ from handfit_core.interchange.recording import (
 )
 from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.skeletons import UP_AXES
-from handfit_core.interchange.table_points import frames_of_table
+from handfit_core.interchange.table_points import frames_of_table, is_hand_table
 
 AXES: Final = UP_AXES | {
     "camera": np.eye(3),
@@ -71,7 +70,10 @@ class PointLayout:
     source: str
     """Where the program says so"""
     marks: tuple[str, ...] = ()
-    """Keys of an object by which such JSON is recognised: all that stand in one of these, as in "a b\""""
+    """Keys of an object, or columns of a table, by which a file is recognised: all that stand in one of
+    these, as in "a b\""""
+    names: Callable[[Iterable[str]], bool] | None = None
+    """True for names of points, an object's keys or a table's columns, by which a file is recognised"""
     table: Callable[[Table], bool] = lambda _: False
     """True if a table is of it"""
     recognises: Callable[[Document], bool] = lambda _: False
@@ -106,9 +108,9 @@ class PointLayout:
     """True if such space may be left-handed, with z away from who looks, as Unity's is"""
     on_joints: bool = False
     """True if points in space are a skeleton's joints"""
-    posed: Callable[[np.ndarray, np.ndarray, HandModel], tuple[HandMotion, str]] | None = None
-    """From places (T, 21, 3) in metres and quaternions (T, 21, 4) of joints to the pose of that model, and
-    what is said of it; None: hands are fitted to points. It raises ValueError, to be put after the hand"""
+    posed: Callable[[np.ndarray, HandModel, list[str]], HandMotion] | None = None
+    """From joints (T, 21, 7), places in metres and quaternions, to the pose of that model; to the list, what
+    was assumed is added. None: hands are fitted to points"""
     sigma: float | None = 0.005
     """Metres that points in space are expected to be off; None: as far as the lengths of bones change"""
     first: int = 1
@@ -130,13 +132,14 @@ class PointLayout:
         return Reader(self.title, self.files, self._recognises, self._read, self.met, self.assumes)
 
     def _recognises(self, document: Document) -> bool:
-        if document.table is not None and document.numbers is None:
-            return self.table(document.table)
+        table = document.table if document.numbers is None else None
         marks = [set(mark.split()) for mark in self.marks]
-        objects = (each for content in some_contents(document) for each in objects_in(content))
-        if marks and any(mark <= set(each) for each in objects for mark in marks):
-            return True
-        return self.recognises(document)
+        for names in _names_in(document) if marks or self.names else ():
+            if any(mark <= set(names) for mark in marks):
+                return True
+            if self.names and self.names(islice(names, 200)):
+                return True
+        return self.recognises(document) if table is None else self.table(table)
 
     def _read(self, document: Document, asked: ReadOptions) -> Recording:
         path = shown(document.path)
@@ -145,11 +148,11 @@ class PointLayout:
         try:
             frames = (
                 self.read(document)
-                or frames_of_arrays(document, arrays_of(document), self.first)
+                or frames_of_arrays(document, document.arrays, self.first)
                 or frames_of_table(document, first=self.first, ours=self.ours)
-                or frames_of_json(document, self._is_one, grouped=self.grouped)
+                or frames_of_json(document, grouped=self.grouped)
             )
-            said = (document.cut, *frames.assumed) if document.cut else frames.assumed
+            frames, hands = self._with_hands(frames, document, asked)
             made = Recording(
                 self.name,
                 (str(document.path.absolute()),),
@@ -157,22 +160,16 @@ class PointLayout:
                 frames.numbers,
                 size=frames.size,
                 intrinsics=frames.intrinsics,
-                assumed=said,
+                assumed=(document.cut, *frames.assumed) if document.cut else frames.assumed,
             )
-            return self._recording(made, self._parsed(frames, document, asked), asked)
+            return self._recording(made, frames, hands, asked)
         except InputError:
             raise
         except ValueError as error:
             raise InputError(f"{path}: read as {self.title}, {str(error)[:300]}") from error
 
-    def _is_one(self, content: Any) -> bool:
-        """True if JSON is one frame: a hand, or a list of people."""
-        if not self.people:
-            return is_hand(content)
-        return isinstance(content, list) and bool(content) and "keypointscores" in keyed(content[0])
-
-    def _parsed(self, frames: Frames, document: Document, asked: ReadOptions) -> ParsedPoints:
-        """The hands of the frames."""
+    def _with_hands(self, frames: Frames, document: Document, asked: ReadOptions) -> tuple[Frames, SeenHands]:
+        """The frames with what their hands tell, and these hands as the file has them."""
         columns = {len(each): each for each in self.columns.split()}
         told: list[tuple[Any, ...]] = []
         most, mirrored, named, guessed = 0, set(), set(), False
@@ -200,22 +197,21 @@ class PointLayout:
             raise InputError(
                 f"{shown(document.path)}: there is no person {asked.person}; its frames have at most {most}"
             )
-        columns_told = zip(*told, strict=True) if told else ((),) * 6
-        hands = SeenHands.of(*columns_told)
+        hands = SeenHands.of(*(zip(*told, strict=True) if told else ((),) * 6))
         deep = hands.points[..., 2]
         # MediaPipe's depths count from the wrist, whose own is zero.
         zero = np.abs(deep) < 1e-9
         counted = (zero | np.isnan(deep)).all(axis=0) & zero.any(axis=0)
-        return ParsedPoints(
-            hands,
-            frames.size,
-            in_space=frames.in_space
-            or (self.units is not None and bool(np.isfinite(deep).any() and not counted.any())),
+        in_space = self.units is not None and bool(np.isfinite(deep).any() and not counted.any())
+        frames = replace(
+            frames,
+            in_space=frames.in_space or in_space,
             mirrored=mirrored == {True},
             halved=self.halved and _from_minus_one(told),
             order=self.order or frames.order or ("mediapipe" if named == {True} else ""),
             guessed=guessed,
         )
+        return frames, hands
 
     def _people(self, content: Any) -> Sequence[Any]:
         """What of a frame is asked for hands. Raises ValueError."""
@@ -246,87 +242,88 @@ class PointLayout:
             chosen = list(points)
             yield code, hand.number, hand.score, hand.points[chosen], hand.world[chosen]
 
-    def _recording(self, made: Recording, parsed: ParsedPoints, asked: ReadOptions) -> Recording:
+    def _recording(self, made: Recording, frames: Frames, hands: SeenHands, asked: ReadOptions) -> Recording:
         """The recording: hands of known sides, in pixels or in parts of the picture, or before the camera."""
-        hands, said, in_space = parsed.hands, made.assumed, parsed.in_space
+        said, in_space = [*made.assumed], frames.in_space
         if self.ours and np.any(hands.side == UNKNOWN):
             raise ValueError("some of them have no side; expected left or right")
         parts = bool(np.nanmax(np.abs(hands.keypoints), initial=0.0) <= LIMITS.relative)
         if not in_space and parts and self.units is None and in_metres(hands):
-            in_space, said = True, (*said, "its points are metres before the camera: x right, y down, z away")
-        hands, ordered = in_order(replace(parsed, in_space=in_space), asked.order, parts=parts)
-        said = (*said, *ordered)
+            in_space = True
+            said.append("its points are metres before the camera: x right, y down, z away")
+        hands = ordered(hands, replace(frames, in_space=in_space), asked.order, said, parts=parts)
         if not in_space and (not known(hands.points[..., :2]).any() or is_world(hands)):
             world = hands.points if known(hands.points).any() else hands.world
             hands = replace(hands, points=world, confidence=known(world).astype(float))
-            in_space, said = (
-                True,
-                (*said, "its points are metres without a place: the hands stay where they are"),
-            )
-        hands, hidden = without_hidden(hands, 0.0 if in_space else self.least)
+            in_space = True
+            said.append("its points are metres without a place: the hands stay where they are")
+        hands = without_hidden(hands, 0.0 if in_space else self.least, said)
         if not np.any(known(hands.keypoints).sum(axis=1) >= LEAST_POINTS):
             raise ValueError(f"none of its frames has a hand with at least {LEAST_POINTS} points{self.hint}")
         shapes = np.where(np.isfinite(hands.world).all(axis=(1, 2), keepdims=True), hands.world, hands.points)
-        swapped: tuple[str, ...] = ()
-        if parsed.guessed or (not self.ours and self.units is None):
-            hands, swapped = own_sides(hands, shapes, mirrored=parsed.mirrored)
-        hands, sides = with_sides(hands, asked.hands, shapes)
-        made = replace(made, assumed=(*said, *hidden, *swapped, *sides))
-        if in_space:
-            return self._in_space(made, hands, asked)
-        seen, relative, scale = self._scaled(hands, parsed, asked)
-        made = replace(
-            made, seen=seen, size=RELATIVE if relative else made.size, assumed=(*made.assumed, *scale)
+        if frames.guessed or (not self.ours and self.units is None):
+            hands = own_sides(hands, shapes, said, mirrored=frames.mirrored)
+        hands = with_sides(hands, asked.hands, shapes, said)
+        if not in_space:
+            points, relative = self._scaled(hands, frames, asked, said)
+            size = RELATIVE if relative else made.size
+            made = replace(made, seen=replace(hands, points=points), size=size, assumed=tuple(said))
+            return made if frames.size is None else scaled(made, *frames.size)
+        said += self.assumed
+        tracks = tracks_of(hands, len(made.frame_numbers), said, counted=self.ours)
+        if self.posed is not None:
+            posed = [self.posed(track, load_model(asked.model, side), said) for side, track in tracks]
+            return replace(made, posed=tuple(posed), assumed=tuple(dict.fromkeys(said)))
+        points = self._placed(
+            [PointsHand(s, t, on_joints=self.on_joints, sigma=self.sigma) for s, t in tracks], said
         )
-        return made if parsed.size is None else scaled(made, *parsed.size)
+        return replace(made, points=tuple(points), assumed=tuple(said))
 
     def _scaled(
-        self, hands: SeenHands, parsed: ParsedPoints, asked: ReadOptions
-    ) -> tuple[SeenHands, bool, tuple[str, ...]]:
-        """The hands from the upper left corner, whether they are in parts of the picture's size, and what is
-        said of that."""
+        self, hands: SeenHands, frames: Frames, asked: ReadOptions, said: list[str]
+    ) -> tuple[np.ndarray, bool]:
+        """Points (N, 21, 3) from the upper left corner, and whether they are parts of the picture's size."""
         points, deep = hands.points.copy(), hands.points[..., 2]
         if np.nanmax(np.abs(hands.keypoints)) > LIMITS.relative:
             if np.isfinite(deep).any() and np.nanmax(np.abs(deep)) <= LIMITS.relative:
                 # Pixels beside a depth in parts of the picture's width.
-                size = parsed.size or asked.picture_size
+                size = frames.size or asked.picture_size
                 points[..., 2] = deep * size[0] if size is not None else np.nan
-            said = "its points are pixels, which are taken to count from the upper left corner"
-            return replace(hands, points=points), False, (said,) if self.from_below else ()
-        if parsed.halved:
+            if self.from_below:
+                said.append("its points are pixels, which are taken to count from the upper left corner")
+            return points, False
+        if frames.halved:
             points[..., :2] = (points[..., :2] + 1.0) / 2.0
         if self.from_below:
             points[..., 1] = 1.0 - points[..., 1]
-        said = "lie between -1 and 1" if parsed.halved else "are parts of the picture's size"
-        return replace(hands, points=points), True, (f"its points {said}",) if self.people else ()
+        if self.people:
+            where = "lie between -1 and 1" if frames.halved else "are parts of the picture's size"
+            said.append(f"its points {where}")
+        return points, True
 
-    def _in_space(self, made: Recording, hands: SeenHands, asked: ReadOptions) -> Recording:
-        """The recording of hands in metres before the camera."""
-        tracks, said = tracks_of(hands, len(made.frame_numbers), counted=self.ours)
-        said = (*self.assumed, *said)
-        if self.posed is not None:
-            posed = []
-            for side, track in tracks:
-                try:
-                    hand, more = self.posed(track[..., :3], track[..., 3:], load_model(asked.model, side))
-                except ValueError as error:
-                    raise ValueError(f"the {side} hand {error}") from error
-                posed.append(hand)
-                said = (*said, more) if more and more not in said else said
-            return replace(made, posed=tuple(posed), assumed=(*made.assumed, *said))
-        points = tuple(
-            PointsHand(side, track, on_joints=self.on_joints, sigma=self.sigma) for side, track in tracks
-        )
-        if self.units:
-            unit, guessed = metres_of(points, self.units)
-            axes = unit * AXES[self.up].T
-            points = tuple(replace(hand, points=hand.points @ axes) for hand in points)
-            if self.mirrored and odd_sides(points):
-                points = tuple(replace(hand, points=hand.points * [1.0, 1.0, -1.0]) for hand in points)
-                said = (*said, "its space is left-handed, as Unity's: so its fingers bend as their sides'")
-            # Devices that know joints know which hand they see.
-            said = (*said, *guessed, *(() if self.on_joints else odd_sides(points)))
-        return replace(made, points=points, assumed=(*made.assumed, *said))
+    def _placed(self, hands: list[PointsHand], said: list[str]) -> list[PointsHand]:
+        """The hands in metres before the camera."""
+        if not self.units:
+            return hands
+        guessed: list[str] = []
+        axes = metres_of(hands, self.units, guessed) * AXES[self.up].T
+        hands = [replace(hand, points=hand.points @ axes) for hand in hands]
+        if self.mirrored and odd_sides(hands):
+            hands = [replace(hand, points=hand.points * [1.0, 1.0, -1.0]) for hand in hands]
+            said.append("its space is left-handed, as Unity's: so its fingers bend as their sides'")
+        # Devices that know joints know which hand they see.
+        said += guessed if self.on_joints else [*guessed, *odd_sides(hands)]
+        return hands
+
+
+def _names_in(document: Document) -> Iterator[Collection[str]]:
+    """The keys of objects in JSON, or a table's columns, and the first rows' cells of a table of hands."""
+    table = document.table
+    if table is None:
+        yield from (each for content in some_contents(document) for each in objects_in(content))
+    else:
+        yield table.columns
+        yield from table.rows[:50] if is_hand_table(table) else ()
 
 
 def _from_minus_one(told: Sequence[tuple[Any, ...]]) -> bool:

@@ -24,9 +24,9 @@ class Reader:
     title: str
     """The format's own name"""
     layout: str
-    """What such a file is, as a phrase for messages and lists"""
+    """Such a file, as a phrase for messages and lists"""
     recognises: Callable[[Document], bool]
-    """Whether a file or folder is of this format, by its contents rather than its name. Raises nothing for
+    """True if a file or folder is of this format, by its contents rather than its name. Raises nothing for
     files of other formats, however damaged"""
     read: Callable[[Document, ReadOptions], Recording]
     """Reads it. Raises InputError, whose sentence says what was found and what was expected, and OptionError
@@ -34,7 +34,7 @@ class Reader:
     met: str = ""
     """The real file that it was tried with: project and date; empty: it was written by the description"""
     assumed: str = ""
-    """What is assumed of every such file, for the table of docs/interchange.md"""
+    """Assumptions about every such file, for the table of docs/interchange.md"""
 
 
 _HERE: Final = "handfit_core.interchange.formats"
@@ -54,22 +54,23 @@ READERS: Final = Registry(
         "alphapose": f"{_HERE}.keypoints:ALPHAPOSE.reader",
         "interhand": f"{_HERE}.keypoints:INTERHAND.reader",
         "aria": f"{_HERE}.keypoints:ARIA.reader",
-        "hawor": f"{_HERE}.mano:HAWOR",
-        "dyn-hamr": f"{_HERE}.mano:DYN_HAMR",
-        "smplx": f"{_HERE}.mano:SMPLX",
-        "hot3d": f"{_HERE}.mano:HOT3D",
-        "arctic": f"{_HERE}.mano:ARCTIC",
-        "grab": f"{_HERE}.mano:GRAB",
-        "interhand-mano": f"{_HERE}.mano:INTERHAND",
-        "dexycb": f"{_HERE}.mano:DEXYCB",
-        "ho3d": f"{_HERE}.mano:HO3D",
-        "freihand": f"{_HERE}.mano:FREIHAND",
-        "smplx-keywords": f"{_HERE}.mano:SMPLX_KEYWORDS",
-        "hamer": f"{_HERE}.mano:HAMER",
-        "wilor-mini": f"{_HERE}.mano:WILOR_MINI",
+        "hawor": f"{_HERE}.mano:HAWOR.reader",
+        "dyn-hamr": f"{_HERE}.mano:DYN_HAMR.reader",
+        "smplx": f"{_HERE}.mano:SMPLX.reader",
+        "hot3d": f"{_HERE}.mano:HOT3D.reader",
+        "arctic": f"{_HERE}.mano:ARCTIC.reader",
+        "grab": f"{_HERE}.mano:GRAB.reader",
+        "interhand-mano": f"{_HERE}.mano:INTERHAND.reader",
+        "dexycb": f"{_HERE}.mano:DEXYCB.reader",
+        "ho3d": f"{_HERE}.mano:HO3D.reader",
+        "freihand": f"{_HERE}.mano:FREIHAND.reader",
+        "smplx-keywords": f"{_HERE}.mano:SMPLX_KEYWORDS.reader",
+        "hamer": f"{_HERE}.mano:HAMER.reader",
+        "wilor-mini": f"{_HERE}.mano:WILOR_MINI.reader",
         "points-table": f"{_HERE}.keypoints:POINTS_TABLE.reader",
         "freemocap": f"{_HERE}.keypoints:FREEMOCAP.reader",
         "apple-vision": f"{_HERE}.keypoints:APPLE_VISION.reader",
+        "pose-format": f"{_HERE}.pose_format:POSE_FORMAT.reader",
         "trc": f"{_HERE}.keypoints:TRC.reader",
         "xr-points": f"{_HERE}.keypoints:XR_POINTS.reader",
         "arrays": f"{_HERE}.keypoints:ARRAYS.reader",
@@ -98,17 +99,17 @@ def recognised(document: Document, name: str | None = None) -> tuple[str, Reader
 
 
 BY_DESCRIPTION: Final = "by its description, and on no file of that program: look whether it is right"
-"""What is said of formats of which no real file was met"""
+"""The note on formats of which no real file was met"""
 
 
 def tried_with(recording: Recording) -> str:
-    """What the reader of a recording was tried with; empty for those of other packages."""
+    """The real file that the reader of a recording was tried with; empty for those of other packages."""
     if recording.format not in READERS.built_in():
         return ""
     return READERS.get(recording.format).met or BY_DESCRIPTION
 
 
 def program_of(recording: Recording) -> str:
-    """What people call the program whose hands these are: its format's title, else the format's name."""
+    """The name of the program whose hands these are: its format's title, else the format's name."""
     reader = READERS.all().get(recording.format)
     return recording.format if reader is None else reader.title

@@ -101,7 +101,7 @@ class PointsHand:
     points: np.ndarray = array("T", NUM_KEYPOINTS, 3)
     """metres in the camera frame (x right, y down, z forward), MediaPipe's order; NaN: unknown"""
     on_joints: bool = True
-    """Whether the points are a skeleton's joints (a fingertip's lies on the skin), rather than where
+    """True if the points are a skeleton's joints (a fingertip's lies on the skin), rather than where
     annotators click, as MediaPipe's do"""
     landmarks: Landmarks | None = None
     """Where on our hand a skeleton's points lie that are not its joints; None: as `on_joints` says"""

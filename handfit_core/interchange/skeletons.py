@@ -92,7 +92,7 @@ def unit_of(metres: float) -> float:
 
 
 def name_of_unit(metres: float) -> str:
-    """What a unit is called."""
+    """The name of a unit."""
     return next((name for name, unit in _UNITS.items() if unit == metres), f"units of {metres:.3g} metres")
 
 
@@ -137,7 +137,7 @@ def _lengths(joints: np.ndarray, tips: np.ndarray, side: Side) -> np.ndarray:
 
 
 def no_hand(bones: Bones) -> str:
-    """What to say of a skeleton without hands."""
+    """The sentence for a skeleton without hands."""
     named = ", ".join(name[:40] for name in bones.names[-6:])
     return (
         f"none of its {len(bones.names)} bones are a hand with fingers (the last ones are {named}); expected "

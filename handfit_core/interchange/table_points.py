@@ -107,8 +107,8 @@ class HandTable:
         together: dict[int, list[Any]] = {number: [] for number in numbers.tolist()}
         for number, hands in zip(numbers.tolist(), contents, strict=True):
             together[number] += hands
-        found = in_order(document, together, list(together.values()), header, (assumed,) if assumed else ())
-        return replace(found, order="mediapipe" if named else "", in_space=in_space)
+        frames = in_order(document, together, list(together.values()), header, (assumed,) if assumed else ())
+        return replace(frames, order="mediapipe" if named else "", in_space=in_space)
 
     def _frames(self) -> np.ndarray | None:
         """(R,) the frame of each row; of a text such as a file's name, its last number. Raises ValueError."""

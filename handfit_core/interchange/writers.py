@@ -37,14 +37,14 @@ WRITERS: Final = Registry(
     "format",
     Writer,
     {
-        "take": f"{_HERE}.mano_written:TAKE",
+        "take": f"{_HERE}.written:TAKE",
         "points": f"{_HERE}.written:POINTS",
         "vrma": f"{_HERE}.vrma:WRITER",
         "bvh": f"{_HERE}.bvh:WRITER",
         "points-table": f"{_HERE}.written:POINTS_TABLE",
         "mediapipe": f"{_HERE}.written:MEDIAPIPE",
-        "smplx": f"{_HERE}.mano_written:SMPLX",
-        "smplx-keywords": f"{_HERE}.mano_written:SMPLX_KEYWORDS",
+        "smplx": f"{_HERE}.written:SMPLX",
+        "smplx-keywords": f"{_HERE}.written:SMPLX_KEYWORDS",
     },
 )
 """The writers by their names on the command line"""

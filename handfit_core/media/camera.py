@@ -118,7 +118,7 @@ def _checked(address: str, *, online: bool) -> str:
 
 
 def _is_here(host: str) -> bool:
-    """Whether a host's name is this machine's, without asking a network."""
+    """True if a host's name is this machine's, without asking a network."""
     if host.casefold() == "localhost":
         return True
     try:
@@ -235,7 +235,7 @@ class LiveReader:
 
     @property
     def ended(self) -> bool:
-        """Whether no frame will come any more, and the last one was taken; an error, `newest` tells."""
+        """True if no frame will come any more, and the last one was taken; an error, `newest` tells."""
         return self._ended and self._newest is None and self._error is None
 
     @property

@@ -38,10 +38,10 @@ _CONTAINERS: Final = "mov,matroska,avi,gif,apng,asf,mpeg,mpegts,mpegvideo,ogg,fl
 and addresses that it would open."""
 
 
-def opened(path: Path, max_pixels: int) -> Reading:
-    """A video, to be read from its beginning; its frames have at most so many pixels. Raises InputError where
-    it cannot be read, and OSError."""
-    return _Animation(path) if begins(path, PICTURES["WebP"]) else _File(path, max_pixels)
+def opened(path: Path, max_pixels: int, threads: int = 0) -> Reading:
+    """A video, to be read from its beginning by so many threads, 0: one a core; its frames have at most so
+    many pixels. Raises InputError where it cannot be read, and OSError."""
+    return _Animation(path) if begins(path, PICTURES["WebP"]) else _File(path, max_pixels, threads)
 
 
 @dataclass(eq=False)
@@ -80,7 +80,7 @@ class Reading:
         raise NotImplementedError
 
     def _seek(self, stamp: int) -> bool:
-        """Whether the next picture to be decoded was moved to one at that time or before it."""
+        """True if the next picture to be decoded was moved to one at that time or before it."""
         raise NotImplementedError
 
     def close(self) -> None:
@@ -151,7 +151,7 @@ class Reading:
 class _File(Reading):
     """A video that FFmpeg reads."""
 
-    def __init__(self, path: Path, max_pixels: int) -> None:
+    def __init__(self, path: Path, max_pixels: int, threads: int) -> None:
         """Open it. Raises InputError where FFmpeg cannot, and for one without pictures."""
         # FFmpeg gets the open file and never its name, which it might take for an address or a pattern.
         self._file = open(path, "rb")  # noqa: SIM115 (until it is closed)
@@ -174,7 +174,7 @@ class _File(Reading):
             raise unreadable(path)
         self._stream, context = stream, stream.codec_context
         context.options = {"max_pixels": str(max_pixels)}
-        context.thread_type = "AUTO"
+        context.thread_type, context.thread_count = "AUTO", threads
         unit = float(stream.time_base or 1.0)
         super().__init__(
             (context.width, context.height),

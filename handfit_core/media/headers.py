@@ -273,7 +273,7 @@ _FIXED: Final[dict[bytes, Callable[..., Header]]] = {
 
 
 def begins(path: Path, pattern: bytes) -> bool:
-    """Whether a file begins like that; no for one that cannot be read."""
+    """True if a file begins like that; False for one that cannot be read."""
     try:
         with open(path, "rb") if is_file(path) else io.BytesIO() as stream:
             return bool(re.match(pattern, stream.read(65536), re.DOTALL))
@@ -282,7 +282,7 @@ def begins(path: Path, pattern: bytes) -> bool:
 
 
 def is_animated(path: Path) -> bool:
-    """Whether a PNG, WebP or AVIF picture has several frames."""
+    """True if a PNG, WebP or AVIF picture has several frames."""
     # A PNG's chunk of its animation stands before its pixels.
     return begins(path, rb"\x89PNG\r\n\x1a\n(?:(?!IDAT).)*acTL|RIFF....WEBPVP8X.*ANIM|....ftypavis")
 
@@ -298,7 +298,7 @@ _COUNTS: Final = {b"stsz": 8, b"stz2": 8, b"trun": 4}
 
 
 def _holds_its_frames(stream: BinaryIO) -> bool:
-    """Whether an MP4 has at least a byte for each frame that it claims: FFmpeg would allocate a list of them,
+    """True if an MP4 has at least a byte for each frame that it claims: FFmpeg would allocate a list of them,
     and unpack a compressed header to whatever size it claims."""
     end, frames = stream.seek(0, 2), 0
     for name, start, _ in boxes_of(stream, _BOXES_WITH_BOXES):

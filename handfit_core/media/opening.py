@@ -97,7 +97,7 @@ def _open_path(path: Path, wanted: Wanted) -> Media:
 
 
 def is_pattern(text: str) -> bool:
-    """Whether a path that does not exist is meant as `%04d`, `####` or glob pattern."""
+    """True if a path that does not exist is meant as `%04d`, `####` or glob pattern."""
     name = Path(text).name
     return bool(_NUMBER_IN_PATTERN.search(name)) or any(c in name for c in "*?[")
 
@@ -212,14 +212,14 @@ def _series(files: Sequence[Path]) -> dict[tuple[str, ...], list[tuple[int, Path
 
 
 def _are_frames(numbers: Sequence[int]) -> bool:
-    """Whether they may be the frames of one sequence."""
+    """True if they may be the frames of one sequence."""
     if not numbers or not _can_be_frames(numbers):
         return False
     return max(numbers) - min(numbers) + 1 <= MEDIA.max_frame_gap * len(numbers)
 
 
 def _can_be_frames(numbers: Sequence[int]) -> bool:
-    """Whether Blender could hold them all, each once."""
+    """True if Blender could hold them all, each once."""
     most = MEDIA.max_frame_number
     return -most <= min(numbers) and max(numbers) <= most and len(set(numbers)) == len(numbers)
 

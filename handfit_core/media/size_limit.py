@@ -98,12 +98,12 @@ def check_for_blender(path: Path, max_megapixels: float | Limit | None = None) -
 
 
 def is_picture(path: Path) -> bool:
-    """Whether a file begins as a picture does. Raises InputError where it cannot be read."""
+    """True if a file begins as a picture does. Raises InputError where it cannot be read."""
     return _header(path, read_picture_header) is not None
 
 
 def is_video(path: Path) -> bool:
-    """Whether a file begins as a video does. Raises InputError where it cannot be read."""
+    """True if a file begins as a video does. Raises InputError where it cannot be read."""
     return _header(path, read_video_header) is not None
 
 

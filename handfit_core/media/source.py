@@ -113,5 +113,8 @@ class Media:
         known."""
         return self.numbers(0, self.expected_frames or None)
 
+    def limit_threads(self, count: int) -> None:
+        """Read with so many threads at most, since other threads read other frames."""
+
     def close(self) -> None:
         """Release the file. A later read opens it again."""

@@ -18,7 +18,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from handfit_core.common.skeleton import Side
-from handfit_core.geometry.rotations import rotmat_to_quat, rotvec_to_rotmat, skew
+from handfit_core.geometry.rotations import (
+    perpendicular,
+    rotmat_to_quat,
+    rotvec_to_rotmat,
+    smoothstep,
+    swings,
+    units,
+)
 from handfit_core.hand_model.axes import MIRROR_X, points_to_world
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.recognition import named_arm
@@ -57,14 +64,14 @@ _FEW = 0.004
 
 @dataclass(frozen=True, eq=False)
 class CapturedArm:
-    """What a captured arm does on N frames."""
+    """The motion of a captured arm on N frames."""
 
     upper: np.ndarray
     """(N, 3) unit vectors from the shoulder to the elbow, in the axes of a body that faces -Y"""
     fore: np.ndarray
     """(N, 3) unit vectors from the elbow to the wrist, likewise"""
     present: np.ndarray
-    """(N,) bool: whether there is an arm; where there is none, the directions lie between the nearest ones"""
+    """(N,) bool: true where there is an arm; elsewhere the directions lie between the nearest ones"""
     facing: np.ndarray
     """(3, 3) from the world in which the capture's camera stands to these axes: a turn about Z"""
 
@@ -79,8 +86,8 @@ class CapturedArm:
         there = arm.present
 
         def between(ends: np.ndarray) -> np.ndarray:
-            along = points_to_world(_unit(ends[there])) @ facing.T
-            return _unit(np.stack([np.interp(numbers, own[there], part) for part in along.T], axis=-1))
+            along = points_to_world(units(ends[there])) @ facing.T
+            return units(np.stack([np.interp(numbers, own[there], part) for part in along.T], axis=-1))
 
         after = np.clip(np.searchsorted(own, numbers), 0, len(own) - 1)
         before = np.clip(np.searchsorted(own, numbers, side="right") - 1, 0, len(own) - 1)
@@ -111,8 +118,8 @@ class CapturedArm:
             within = min(ease, 0.5 * (last - first))
             part = np.ones(some.stop - some.start)
             if within > 0.0:
-                part = np.clip(np.minimum(frames[some] - first, last - frames[some]) / within, 0.0, 1.0)
-            found[some] = part * part * (3.0 - 2.0 * part)
+                part = np.minimum(frames[some] - first, last - frames[some]) / within
+            found[some] = smoothstep(part)
         return found
 
 
@@ -156,7 +163,7 @@ class TargetArm:
     @property
     def rest(self) -> np.ndarray:
         """(2, 3) unit vectors along upper arm and forearm."""
-        return _unit(np.diff(self.joints, axis=0))
+        return units(np.diff(self.joints, axis=0))
 
     def wrist_at(self, upper: np.ndarray, fore: np.ndarray) -> np.ndarray:
         """(N, 3) where the wrist is, from the shoulder, while upper arm and forearm point there."""
@@ -169,11 +176,10 @@ class TargetArm:
         """
         across = np.cross(upper, fore)
         sine = np.linalg.norm(across, axis=-1, keepdims=True)
-        part = np.clip((sine - _STRAIGHT) / (_BENT - _STRAIGHT), 0.0, 1.0)
-        part = part * part * (3.0 - 2.0 * part)
+        part = smoothstep((sine - _STRAIGHT) / (_BENT - _STRAIGHT))
         carried = (swings(self.rest[0], upper) @ self.hinge[:, None])[..., 0]
-        carried = _unit(_across(carried, upper))
-        return _unit(part * across / np.maximum(sine, 1e-9) + (1.0 - part) * carried)
+        carried = units(perpendicular(carried, upper))
+        return units(part * across / np.maximum(sine, 1e-9) + (1.0 - part) * carried)
 
     def turned(self, upper: np.ndarray, fore: np.ndarray, hand: np.ndarray) -> np.ndarray:
         """(N, 2, 3, 3) how upper arm and forearm turn from rest, to point along `upper` and `fore` (N, 3),
@@ -202,9 +208,9 @@ class TargetArm:
         along = wrists / np.maximum(way, 1e-9)
         way = np.clip(way, abs(first - second) / _REACH, _REACH * (first + second))
         cosine = np.clip((first**2 + way**2 - second**2) / (2.0 * first * way), -1.0, 1.0)
-        aside = _unit(np.cross(along, normals))
+        aside = units(np.cross(along, normals))
         upper = cosine * along + np.sqrt(1.0 - cosine**2) * aside
-        return upper, _unit(way * along - first * upper)
+        return upper, units(way * along - first * upper)
 
 
 def target_arm(
@@ -229,7 +235,7 @@ def target_arm(
         line = (shoulder - bones.heads[second[0]]) * (1.0 if side == "left" else -1.0)
         body = _body_axes(bones, chest, line, 0.5 * (shoulder + bones.heads[second[0]]), upright)
     joints = np.array([shoulder, bones.heads[fore], bones.heads[bones.index[hand]]])
-    first, last = _unit(np.diff(joints, axis=0))
+    first, last = units(np.diff(joints, axis=0))
     across = np.cross(first, last)
     if np.linalg.norm(across) < _REST_BENT:
         across = np.cross(first, -body[:, 1])
@@ -240,7 +246,7 @@ def target_arm(
         (names[upper], names[fore]),
         names[chest] if chest >= 0 else "",
         joints,
-        _unit(_across(across, first)),
+        units(perpendicular(across, first)),
         body,
     )
 
@@ -276,11 +282,11 @@ def _body_axes(
     up = middle - base
     if np.linalg.norm(up) < 0.1 * np.linalg.norm(line):
         up = upright[:, 2]
-    up = _unit(up)
+    up = units(up)
     axis = np.eye(3)[np.argmax(np.abs(up))] * np.sign(up[np.argmax(np.abs(up))])
     if up @ axis > _UPRIGHT:
         up = axis
-    left = _unit(_across(line, up))
+    left = units(perpendicular(line, up))
     return np.stack([left, np.cross(up, left), up], axis=-1)
 
 
@@ -294,7 +300,7 @@ def swivel_angles(
     where the wrist lies at rest, told in them; `along` (N, 3) is where the wrist is to lie from the shoulder.
     IK then turns the arm by the smallest rotation that takes its wrist there.
     """
-    angles, wrist = np.zeros(len(start)), _unit(wrist)
+    angles, wrist = np.zeros(len(start)), units(wrist)
     for _ in range(40):
         turned = start @ rotvec_to_rotmat(angles[:, None] * [0.0, 1.0, 0.0])
         back = swings((turned @ wrist[:, None])[..., 0], along)
@@ -309,7 +315,7 @@ class Capsules:
     """C parts of a body at rest, as capsules in the armature's space and units."""
 
     bones: tuple[str, ...]
-    """What carries each of them"""
+    """The bone that carries each capsule"""
     ends: np.ndarray
     """(C, 2, 3) the ends of their axes"""
     radii: np.ndarray
@@ -364,7 +370,7 @@ def kept_outside(
     farthest = np.array([far[some].max() for some in windows])
     wide = np.array([moved[some].mean(axis=0) for some in windows])
     # Frames beside those in which the hand is moved go the same way as these.
-    aims = _unit(np.array([wide[some].mean(axis=0) for some in windows]))
+    aims = units(np.array([wide[some].mean(axis=0) for some in windows]))
     smooth = np.array([farthest[some].mean() for some in windows])[:, None] * aims
     return smooth + _outwards(points + smooth[:, None], ends, radii, camera)
 
@@ -373,18 +379,17 @@ def _outwards(points: np.ndarray, ends: np.ndarray, radii: np.ndarray, camera: n
     """(N, 3) the moves that were found, capsule by capsule, the largest first."""
     moved, rows = np.zeros((len(points), 3)), np.arange(len(points))
     start, axis = ends[:, None, :, 0], (ends[:, :, 1] - ends[:, :, 0])[:, None]
-    across = _across(axis, camera)
+    across = perpendicular(axis, camera)
     square = np.maximum(np.sum(across**2, axis=-1), 1e-12)
     for _ in range(20):
         away = (points + moved[:, None])[:, :, None] - start
         share = np.clip(np.sum(away * across, axis=-1) / square, 0.0, 1.0)
         away = away - share[..., None] * axis
-        aside = _across(away, camera)
+        aside = perpendicular(away, camera)
         width = np.linalg.norm(aside, axis=-1)
         front = np.sqrt(np.maximum(radii**2 - width**2, 0.0)) - away @ camera
-        part = np.clip((width / radii - _EDGE) / (1.0 - _EDGE), 0.0, 1.0)
-        part = (part * part * (3.0 - 2.0 * part))[..., None]
-        out = (1.0 - part) * front[..., None] * camera + part * (radii - width)[..., None] * _unit(aside)
+        part = smoothstep((width / radii - _EDGE) / (1.0 - _EDGE))[..., None]
+        out = (1.0 - part) * front[..., None] * camera + part * (radii - width)[..., None] * units(aside)
         out = np.where(((width < radii) & (front > 0.0))[..., None], out, 0.0).reshape(len(points), -1, 3)
         largest = np.linalg.norm(out, axis=-1).argmax(axis=1)
         moved += out[rows, largest]
@@ -393,29 +398,7 @@ def _outwards(points: np.ndarray, ends: np.ndarray, radii: np.ndarray, camera: n
     return moved
 
 
-def swings(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """(N, 3, 3) the smallest rotations that take unit vectors (3,) or (N, 3) to others (N, 3)."""
-    start = np.broadcast_to(start, end.shape)
-    across, cosine = np.cross(start, end), np.sum(start * end, axis=-1)
-    turn = skew(across)
-    found = np.eye(3) + turn + turn @ turn / np.maximum(1.0 + cosine, 1e-9)[:, None, None]
-    opposite = cosine < -1.0 + 1e-9
-    if opposite.any():
-        aside = _unit(np.cross(start, np.eye(3)[np.argmin(np.abs(start), axis=-1)]))
-        found[opposite] = (2.0 * aside[:, :, None] * aside[:, None] - np.eye(3))[opposite]
-    return found
-
-
 def _frames(along: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(..., 3, 3) axes in columns: a direction, the axis perpendicular to it, and what is across both."""
-    normal = _unit(_across(np.broadcast_to(normal, along.shape), along))
+    normal = units(perpendicular(np.broadcast_to(normal, along.shape), along))
     return np.stack([along, normal, np.cross(along, normal)], axis=-1)
-
-
-def _across(vectors: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Vectors (..., 3) without what lies along unit vectors (..., 3)."""
-    return vectors - np.sum(vectors * along, axis=-1, keepdims=True) * along
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)

@@ -23,7 +23,7 @@ class Bones:
     frames: np.ndarray
     """(B, 3, 3) each bone's axes, X, Y and Z in columns; Y is along the bone"""
     inherits: np.ndarray
-    """(B,) bool: whether the bone turns with its parent"""
+    """(B,) bool: true if the bone turns with its parent"""
 
     @cached_property
     def index(self) -> dict[str, int]:

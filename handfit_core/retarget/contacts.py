@@ -21,15 +21,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Final
 
 import numpy as np
 
+from handfit_core.common.batch import Batch
 from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, PARENTS
 from handfit_core.common.slices import map_yields
-from handfit_core.geometry.rotations import euler_to_rotmat, rotmat_to_euler
+from handfit_core.fit.levenberg import LeastSquares, solve
+from handfit_core.geometry.rotations import euler_to_rotmat, rotmat_to_euler, smoothstep, units
 from handfit_core.hand_model.anatomy import axes_of, joint_limits
 from handfit_core.hand_model.axes import MIRROR_X, REST_FROM_MODEL, points_to_rest
 from handfit_core.hand_model.data import HandModel
@@ -74,8 +76,8 @@ class TouchSettings:
     the second: touches that need more are no grip, or would make a jump, and stay open"""
     max_steps: int = 20
     """of the search for an angle"""
-    step_tolerance: float = 1e-6
-    """radians: the search ends at smaller steps"""
+    tolerance: float = 1e-11
+    """Relative decrease of the cost at which the search ends"""
     solve_frames: int = 32
     """Frames that are solved in one step of work"""
     detect_frames: int = 256
@@ -106,7 +108,7 @@ class Fingertips:
 
 
 @dataclass(frozen=True, eq=False)
-class Touches:
+class Touches(Batch):
     """Which fingertips of a captured hand touch in each of T frames."""
 
     weights: np.ndarray
@@ -114,15 +116,15 @@ class Touches:
     gap: np.ndarray
     """(T, 10) metres between the two skins; negative where they overlap"""
     now: np.ndarray
-    """(T, 10) bool: whether the two touch in this very frame"""
+    """(T, 10) bool: true where the two touch in this very frame"""
     along: np.ndarray
     """(T, 10, 2) where on the axes of the two last bones, 0..1, they are nearest to each other"""
     ways: np.ndarray
     """(T, 10, 3) metres from that place of the second to the first's, in rest space, the wrist at rest"""
 
-    def subset(self, rows: np.ndarray, pairs: np.ndarray) -> Touches:
-        """The touches in the frames `rows`, of `pairs` alone."""
-        return Touches(*(getattr(self, name)[rows][:, pairs] for name in self.__dataclass_fields__))
+    def of(self, pairs: np.ndarray) -> Touches:
+        """The touches of `pairs` (P,) alone."""
+        return Touches(*(values[:, pairs] for _, values in self._rows()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +164,7 @@ def finding_touches(
     along = _mean(along, times)
     places = ends[:, PAIRS, 0] + along[..., None] * (ends[:, PAIRS, 1] - ends[:, PAIRS, 0])
     ways = places[:, :, 0] - places[:, :, 1]
-    beside = np.abs((_units(ways) * _units(beside[:, PAIRS].sum(axis=2))).sum(axis=-1))
+    beside = np.abs((units(ways) * units(beside[:, PAIRS].sum(axis=2))).sum(axis=-1))
     near = _falling(gap, TOUCHES.touch_gap) * np.where(
         PAIRS[:, 0] == 0, 1.0, _falling(beside, TOUCHES.crossed_share)
     )
@@ -198,13 +200,13 @@ def keeping_contacts(
     found = yield from map_yields(finding_touches(source, skins, turns, times), lambda: 0.0)
     chains = _Chains.of(target, source, skins, np.ones(len(target.bones), bool) if keyed is None else keyed)
     x = np.zeros((len(turns), len(chains.bones)))
-    for some, done in _slices(found.weights[:, chains.known_pairs].max(axis=1, initial=0.0)):
-        x[some] = chains.problem(standing[some], found, some).solve(x[some], 0)
+    for some, done in _slices(found.weights[:, chains.pairs].max(axis=1, initial=0.0)):
+        x[some] = chains.problem(standing[some], found.select(some)).solved(x[some], 0)
         yield 0.5 * done
     x = _mean(x, times)
     for some, done in _slices(np.abs(x).max(axis=1, initial=0.0)):
-        problem = chains.problem(standing[some], found, some)
-        x[some] = problem.solve(x[some], 1)
+        problem = chains.problem(standing[some], found.select(some))
+        x[some] = problem.solved(x[some], 1)
         standing[some], apart[some] = problem.turned(standing[some], x[some]), problem.apart(x[some])
         yield 0.5 + 0.5 * done
     return ContactResult(standing, apart, np.abs(x).max(axis=1, initial=0.0))
@@ -227,14 +229,9 @@ def _nearest(ends: np.ndarray, radii: np.ndarray, pairs: np.ndarray) -> tuple[np
     return along.reshape(len(ends), -1, 2), gap.reshape(len(ends), -1)
 
 
-def _units(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
-
-
 def _falling(value: np.ndarray, range_: tuple[float, float]) -> np.ndarray:
     """1 up to the first bound, 0 from the second on, smooth between."""
-    share = np.clip((range_[1] - value) / (range_[1] - range_[0]), 0.0, 1.0)
-    return share * share * (3.0 - 2.0 * share)
+    return smoothstep((range_[1] - value) / (range_[1] - range_[0]))
 
 
 def _mean(values: np.ndarray, times: np.ndarray) -> np.ndarray:
@@ -277,7 +274,7 @@ class _Chains:
     """(5, 2, 3) from the beginning of these to both ends of the axes of their skins, likewise: as far from
     the character's fingertip as the captured ones are from theirs"""
     moves: np.ndarray
-    """(K, U) bool: whether an angle moves a bone"""
+    """(K, U) bool: true where an angle moves a bone"""
     bones: np.ndarray
     """(U,) the bone of each angle"""
     which: np.ndarray
@@ -288,7 +285,7 @@ class _Chains:
     """(U,) radians"""
     upper: np.ndarray
     """(U,)"""
-    known_pairs: np.ndarray
+    pairs: np.ndarray
     """(P,) which of `PAIRS` have two last bones"""
 
     @classmethod
@@ -334,22 +331,22 @@ class _Chains:
                 ends[f] = laid[bone] @ (target.tips[f] - target.heads[bone]) / target.scale
                 ends[f] += skins.ends[f] - source.tips[f]
         first, second = last[PAIRS].T
-        known_pairs = np.flatnonzero((first >= 0) & (second >= 0) & (first != second) & (len(bones) > 0))
+        pairs = np.flatnonzero((first >= 0) & (second >= 0) & (first != second) & (len(bones) > 0))
         return cls(
             *(target, axes, starts, last, skins.radii, ends, moves),
-            *(bones, which, turn_cost, lower, upper, known_pairs),
+            *(bones, which, turn_cost, lower, upper, pairs),
         )
 
-    def problem(self, standing: np.ndarray, found: Touches, rows: np.ndarray) -> _Problem:
-        """The problem of the frames `rows` (N,), whose bones stand as captured: (N, K, 3, 3)."""
+    def problem(self, standing: np.ndarray, found: Touches) -> _Problem:
+        """The problem of N frames with touches, whose bones stand as captured: (N, K, 3, 3)."""
         whole = self.whole(standing)
         local = whole.copy()
         for k, parent in enumerate(self.target.parents):
             if parent >= 0:
                 local[:, k] = np.swapaxes(whole[:, parent], -1, -2) @ whole[:, k]
         angles = rotmat_to_euler(np.swapaxes(self.axes, -1, -2) @ local @ self.axes)
-        pairs = self.known_pairs[found.weights[rows][:, self.known_pairs].any(axis=0)]
-        return _Problem(self, PAIRS[pairs], angles, found.subset(rows, pairs))
+        pairs = self.pairs[found.weights[:, self.pairs].any(axis=0)]
+        return _Problem(replace(self, pairs=pairs), angles, found.of(pairs))
 
     def whole(self, standing: np.ndarray) -> np.ndarray:
         """How bones (N, K, 3, 3) are turned from where ours rest, in our rest space."""
@@ -358,16 +355,39 @@ class _Chains:
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
-    """N frames to be solved."""
+class _Turns(Batch):
+    """Turns of the joints in addition to the captured ones."""
+
+    x: np.ndarray
+    """(N, U) radians"""
+
+    def moved(self, step: np.ndarray) -> _Turns:
+        """By increments (N, U)."""
+        return _Turns(self.x + step)
+
+
+@dataclass(frozen=True, eq=False)
+class _System(Batch):
+    """The normal equations of N frames."""
+
+    cost: np.ndarray
+    """(N,)"""
+    hessian: np.ndarray
+    """(N, U, U)"""
+    gradient: np.ndarray
+    """(N, U)"""
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem(Batch):
+    """N frames in which fingertips touch."""
 
     chains: _Chains
-    pairs: np.ndarray
-    """(P, 2) the fingers that touch in any of them"""
+    """Those of the P pairs that touch in any of them"""
     angles: np.ndarray
     """(N, K, 3) twist, spread and bend of each bone, as captured"""
     touching: Touches
-    """Theirs, of these pairs"""
+    """The touches of these pairs in the N frames"""
 
     def turned(self, standing: np.ndarray, x: np.ndarray) -> np.ndarray:
         """The bones (N, K, 3, 3) turned by x (N, U) more than they stand; the very same where x is 0."""
@@ -381,7 +401,7 @@ class _Problem:
         chains = self.chains
         whole, places, _ = self.posed(x)
         ends = places[:, chains.last, None] + np.einsum("nfab,feb->nfea", whole[:, chains.last], chains.skins)
-        off = np.abs(_nearest(ends, chains.radii, self.pairs)[1] - self.touching.gap)
+        off = np.abs(_nearest(ends, chains.radii, PAIRS[chains.pairs])[1] - self.touching.gap)
         return np.max(off, axis=1, where=self.touching.now, initial=0.0)
 
     def posed(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -403,7 +423,7 @@ class _Problem:
         """Residuals (N, P, 3), and with `jacobian`, how they change with x: (N, P, 3, U)."""
         chains = self.chains
         whole, places, angles = self.posed(x)
-        pairs = self.pairs
+        pairs = PAIRS[chains.pairs]
         skins, share = chains.skins[pairs], self.touching.along[..., None]
         skins = skins[:, :, 0] + share * (skins[:, :, 1] - skins[:, :, 0])
         last = chains.last[pairs]
@@ -432,9 +452,9 @@ class _Problem:
         """(N, P, 3, 3) rho, between the skins and along them: by the Jacobian (N, P, 3, U) of the captured
         pose. `along`: the share of what lies along them that is closed at most."""
         gives = (slopes**2 / self.chains.turn_cost).sum(axis=(-1, -2))
-        towards, weights = _units(self.touching.ways), self.touching.weights
+        towards, weights = units(self.touching.ways), self.touching.weights
         between = ((towards[..., None, :] @ slopes)[..., 0, :] ** 2 / self.chains.turn_cost).sum(axis=-1)
-        share = along * weights * (self.pairs == 0).any(axis=1)
+        share = along * weights * (PAIRS[self.chains.pairs] == 0).any(axis=1)
         rho = [
             weight / (np.maximum(give, 1e-9) * (1.0 - weight + TOUCHES.open_share))
             for weight, give in ((weights, between), (share, (gives - between) / 2.0))
@@ -442,53 +462,60 @@ class _Problem:
         normal = towards[..., :, None] * towards[..., None, :]
         return rho[0][..., None, None] * normal + rho[1][..., None, None] * (np.eye(3) - normal)
 
-    def subset(self, rows: np.ndarray) -> _Problem:
-        """The problem of the frames `rows` alone."""
-        every = np.arange(len(self.pairs))
-        return _Problem(self.chains, self.pairs, self.angles[rows], self.touching.subset(rows, every))
-
-    def solve(self, about: np.ndarray, again: int) -> np.ndarray:
-        """x (N, U), the least away from `about` (N, U), by projected Levenberg-Marquardt: the first time (0)
-        or `again` (1), from the mean."""
-        chains, turn_cost = self.chains, self.chains.turn_cost
+    def solved(self, about: np.ndarray, again: int) -> np.ndarray:
+        """x (N, U), the least away from `about` (N, U): the first time (0) or `again` (1), from the mean."""
+        chains = self.chains
         captured = self.angles[:, chains.bones, chains.which]
         # Angles that are beyond their range already may stay there.
         low = np.clip(chains.lower - captured, -TOUCHES.max_turn[0], 0.0)
         high = np.clip(chains.upper - captured, 0.0, TOUCHES.max_turn[0])
-        rho = self.stiffness(
-            self.forward(np.zeros_like(about), jacobian=True)[1], TOUCHES.sliding_share[again]
-        )
+        slopes = self.forward(np.zeros_like(about), jacobian=True)[1]
         about = np.clip(about, low, high)
         if again:
-            low, high = (
-                np.maximum(low, about - TOUCHES.max_turn[1]),
-                np.minimum(high, about + TOUCHES.max_turn[1]),
-            )
-        x, damping, left = about.copy(), np.full(len(about), 1e-3), np.arange(len(about))
-        own = np.arange(len(turn_cost))
+            low = np.maximum(low, about - TOUCHES.max_turn[1])
+            high = np.minimum(high, about + TOUCHES.max_turn[1])
+        bounded = _Bounded(self, self.stiffness(slopes, TOUCHES.sliding_share[again]), about, low, high)
+        return solve(
+            bounded, _Turns(about), max_iterations=TOUCHES.max_steps, tolerance=TOUCHES.tolerance
+        ).state.x
 
-        def cost(off: np.ndarray, rho: np.ndarray, away: np.ndarray) -> np.ndarray:
-            return ((rho @ off[..., None])[..., 0] * off).sum(axis=(-1, -2)) + (turn_cost * away**2).sum(
-                axis=-1
-            )
 
-        for _ in range(TOUCHES.max_steps):
-            problem, stiff, here, away = self.subset(left), rho[left], x[left], x[left] - about[left]
-            off, slopes = problem.forward(here, jacobian=True)
-            flat = slopes.reshape(len(left), -1, len(own))
-            pull = np.swapaxes((stiff @ slopes).reshape(flat.shape), -1, -2)
-            gradient = (pull @ off.reshape(len(left), -1, 1))[..., 0] + turn_cost * away
-            free = ~((here <= low[left]) & (gradient > 0.0) | (here >= high[left]) & (gradient < 0.0))
-            hessian = (pull @ flat) * (free[:, :, None] & free[:, None, :])
-            hessian[:, own, own] += turn_cost
-            hessian[:, own, own] *= 1.0 + damping[left][:, None]
-            step = np.linalg.solve(hessian, np.where(free, -gradient, 0.0)[..., None])[..., 0]
-            tried = np.clip(here + step, low[left], high[left])
-            costs = cost(off, stiff, away), cost(problem.forward(tried)[0], stiff, tried - about[left])
-            better = costs[1] < costs[0]
-            x[left[better]] = tried[better]
-            damping[left] *= np.where(better, 0.1, 10.0)
-            left = left[np.abs(tried - here).max(axis=1) > TOUCHES.step_tolerance]
-            if not len(left):
-                break
-        return x
+@dataclass(frozen=True, eq=False)
+class _Bounded(LeastSquares):
+    """The least-squares problems of N frames, whose angles stay within bounds."""
+
+    frames: _Problem
+    stiffness: np.ndarray
+    """(N, P, 3, 3) R"""
+    about: np.ndarray
+    """(N, U) radians from which turns cost"""
+    low: np.ndarray
+    """(N, U) radians"""
+    high: np.ndarray
+    """(N, U) radians"""
+
+    def blocks(self, state: _Turns) -> _System:
+        """Their normal equations."""
+        off, slopes = self.frames.forward(state.x, jacobian=True)
+        flat = slopes.reshape(len(off), -1, slopes.shape[-1])
+        pull = np.swapaxes((self.stiffness @ slopes).reshape(flat.shape), -1, -2)
+        turn_cost, away = self.frames.chains.turn_cost, state.x - self.about
+        of_touches = ((self.stiffness @ off[..., None])[..., 0] * off).sum(axis=(-1, -2))
+        return _System(
+            of_touches + (turn_cost * away**2).sum(axis=-1),
+            pull @ flat + np.diag(turn_cost),
+            (pull @ off.reshape(len(off), -1, 1))[..., 0] + turn_cost * away,
+        )
+
+    def step(
+        self, state: _Turns, blocks: _System, damping: np.ndarray
+    ) -> tuple[tuple[np.ndarray], np.ndarray]:
+        """Increments (N, U) that stay within the bounds, and the predicted decrease (N,)."""
+        x, gradient = state.x, blocks.gradient
+        free = ~((x <= self.low) & (gradient > 0.0) | (x >= self.high) & (gradient < 0.0))
+        own = np.eye(x.shape[1], dtype=bool)
+        hessian = np.where(own | free[:, :, None] & free[:, None, :], blocks.hessian, 0.0)
+        hessian[:, own] *= 1.0 + damping[:, None]
+        step = np.linalg.solve(hessian, np.where(free, -gradient, 0.0)[..., None])[..., 0]
+        step = np.clip(x + step, self.low, self.high) - x
+        return (step,), -(gradient * step).sum(axis=1)

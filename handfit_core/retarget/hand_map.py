@@ -44,7 +44,7 @@ class HandMap:
     """degrees about each of the thumb's bones; positive turns its nail towards the back of the hand, on
     either hand"""
     keep_rest: bool = False
-    """Whether fingers keep the rest pose's difference from ours, instead of pointing as ours do"""
+    """True if fingers keep the rest pose's difference from ours, instead of pointing as ours do"""
     fold: float = 0.0
     """How much of ring and little finger's bend their metacarpals take over, 0..1"""
 

@@ -46,7 +46,7 @@ _FINGER: Final = re.compile(
     "(?P<thumb>thumb|親指|拇)|(?P<index>index|forefinger|fore(?!arm)|pointer|人(?:差し?)?指|食指)"
     "|(?P<middle>middle|mid|中指)|(?P<ring>ring|薬指|无名指)|(?P<little>little|pinky|pinkie|小指)"
 )
-"""What fingers are called"""
+"""Names of fingers, in several languages"""
 _GLUED: Final = re.compile(rf"[lr](?=(?:hand|wrist|finger|carpal|{_FINGER.pattern})$)")
 """A side that stands before a word without anything between, as in lindex"""
 _METACARPAL: Final = re.compile("carpal|meta(?!rig)|palm|inhand")
@@ -55,13 +55,14 @@ _FILLERS: Final = re.compile(
     "finger|fing|handstart|hand|wrist|metacarpal|carpal|meta|palm|proximal|intermediate|medial|middle|distal"
     "|phalanx|base|start|joint|jnt|bone"
 )
-"""What is said of a finger's bone beside which finger it is"""
+"""Words of a finger bone's name that do not tell which finger it is"""
 _HAND: Final = re.compile("hand|wrist|palm|thumb|finger|mitt|手|指")
-"""Of which a name needs one for two chains to be a mitten: ears, legs and straps come in pairs, too"""
+"""Words of which a name must have one if two chains are to be a mitten: ears, legs and straps come in
+pairs, too"""
 _HELPER: Final = re.compile("twist|(?<![ct])roll|helper|hlp|corrective|offset|sdk|捩")
-"""What lies beside or between a finger's bones"""
+"""Bones beside or between those of a finger"""
 _PROP: Final = re.compile("weapon|prop|item|attach|socket|slot|hold|grip|sleeve|twist|roll|ik$")
-"""What hangs on hands beside fingers"""
+"""Bones that are attached to hands but are no fingers"""
 _NO_HAND: Final = re.compile("toe|foot|ankle|paw|claw|hair|skirt|wing|tail|cloth|feather|足|髪|スカート")
 
 _FINGERS_FOLLOWED: Final = {
@@ -100,8 +101,8 @@ _RIGS: Final = (
     ("Rokoko", "LeftFinger1Metacarpal/LeftFinger2Proximal"),
     ("Captured hand", r"(?i:thumb_metacarpal\.L/index_proximal\.L)"),
 )
-"""What programs call the first bones of thumb and index finger of a left hand. Of two that fit the first is
-named"""
+"""Names that programs give to the first bones of thumb and index finger of a left hand. The first one that
+fits counts"""
 _THUMB_ROLLS: Final = {"MakeHuman": 15.0, "SMPL-X": 0.0, "Captured hand": 0.0}
 """`HandMap.thumb_roll` where it is not the usual one: nails of characters that were inspected then face where
 ours do"""
@@ -504,7 +505,7 @@ def _hand(bones: Bones, hand: int, chains: list[_Chain]) -> Found | None:
 
 
 def _rig(reading: _Reading, thumb: int, others: list[int]) -> str:
-    """What the rig is called whose bones have these names."""
+    """The name of the rig whose bones have these names."""
     first = [parsed(reading.bones.names[reading.starts[i]]).left for i in (thumb, others[0])]
     said = "/".join(re.sub(r"^(?:DEF-|(?!mixamorig)\w+:)", "", name) for name in first)
     return next((label for label, pattern in _RIGS if re.fullmatch(pattern, said)), "By names and structure")
@@ -530,7 +531,7 @@ def left_out(bones: Bones, hand_map: HandMap) -> dict[str, list[str]]:
 _FOREARM = ("forearm", "lowerarm", "elbow", "ひじ", "前腕")
 _UPPER_ARM = ("arm", "shldr", "腕")
 _NOT_ARM = ("twist", "roll", "捩", "armature")
-"""What `Name.words` of the bones of an arm holds; a clavicle may be called a shoulder, as an upper arm may"""
+"""Words in `Name.words` of the bones of an arm; a clavicle may be called a shoulder, as an upper arm may"""
 
 
 def named_arm(chain: Sequence[str]) -> tuple[int, int] | None:

@@ -21,7 +21,7 @@ SUFFIX: Final = ".json"
 _MOST: Final = 200
 """files that are read"""
 _NAME: Final = re.compile(r"(?!(con|prn|aux|nul|com\d|lpt\d)(\.|$))\w([\w .()+-]{0,58}[\w)+-])?", re.I)
-"""What can be the name of a file on every system"""
+"""File names that every system allows"""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class SavedRig:
 
     @property
     def label(self) -> str:
-        """What an artist reads it as."""
+        """The label that an artist reads."""
         return f"{self.name}, your rig"
 
     @property

@@ -58,7 +58,7 @@ class FoundOffset:
 
     @property
     def said(self) -> str:
-        """What is told of it, a phrase."""
+        """A phrase that says how sure the offset is."""
         doubt = "for sure" if self.sure >= _FOR_SURE else "perhaps: look whether it fits"
         return f"{self.frames} frames, {doubt} ({self.sure:.2f}; turning agrees by {self.agreement:.2f})"
 

@@ -22,7 +22,7 @@ from handfit_core.geometry.rotations import (
     rotmat_to_quat,
     rotmat_to_rotvec,
     rotvec_to_rotmat,
-    skew,
+    swings,
     unflip_quats,
 )
 from handfit_core.hand_model.axes import MIRROR_X, points_to_rest
@@ -255,7 +255,7 @@ def target_hand(bones: Bones, hand_map: HandMap, source: SourceHand) -> TargetHa
         theirs_along, ours_along = np.sum([segments[joint] for joint in joints], axis=0)
         along = unit(aligned @ ours_along)
         if not hand_map.keep_rest:
-            corrected[k] = swing(unit(theirs_along), along)
+            corrected[k] = swings(unit(theirs_along), along[None])[0]
         if joints[0] in FINGER_JOINTS["thumb"] and hand_map.thumb_roll:
             sign = 1.0 if hand_map.side == "right" else -1.0
             axis = unit(theirs_along) if hand_map.keep_rest else along
@@ -350,16 +350,6 @@ def finger_end(bones: Bones, chain: list[int]) -> np.ndarray:
         if gap > 0.1 * np.linalg.norm(step):
             return bones.heads[last] + 0.8 * step
     return bones.tails[last]
-
-
-def swing(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """(3, 3) the smallest rotation between two unit vectors (3,); about any axis where they are opposite."""
-    across, cosine = np.cross(start, end), float(start @ end)
-    if cosine < -1.0 + 1e-9:
-        aside = unit(np.cross(start, np.eye(3)[np.argmin(np.abs(start))]))
-        return 2.0 * np.outer(aside, aside) - np.eye(3)
-    turn = skew(across)
-    return np.eye(3) + turn + turn @ turn / (1.0 + cosine)
 
 
 def _mean(rotations: np.ndarray) -> np.ndarray:

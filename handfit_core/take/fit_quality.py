@@ -116,7 +116,7 @@ def expected_scale(frames: float) -> Scale:
 
 
 def error_is_known(track: HandTrack) -> bool:
-    """Whether somebody can tell how far off the hand is likely to be, or how far off it is called goes by the
+    """True if somebody can tell how far off the hand is likely to be, or how far off it is called goes by the
     picture, as in older takes. Of a hand that was doubted it is known, though a person has corrected it."""
     expected = track.expected_error
     return expected is None or track.doubtful is not None or bool(np.isfinite(expected).any())

@@ -210,7 +210,7 @@ class Take:
     cameras: Cameras | None = None
     """Where several views of the hands were filmed from; None: there is one view"""
     verdict: Verdict | None = None
-    """Whether the views that were given belong together; None: one was given"""
+    """How well the views that were given belong together; None: one was given"""
     distortion: tuple[float, float, float, float, float] | None = None
     """Of the measured lens, as `Lens` has it: what is in the pictures, and taken out of all that was found in
     them; None: none is known"""
@@ -544,7 +544,7 @@ def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def is_take(path: str | os.PathLike[str]) -> bool:
-    """Whether a file looks like a take, and not like another program's .npz. Raises nothing."""
+    """True if a file looks like a take, and not like another program's .npz. Raises nothing."""
     try:
         with opened_file(path, TAKE_LIMITS.max_file_bytes) as stream:
             return {"header", "frame_numbers"} <= names_of(stream)

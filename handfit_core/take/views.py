@@ -22,7 +22,7 @@ AGREEMENTS: Final[tuple[Agreement, ...]] = get_args(Agreement)
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether views belong together, in words for an artist."""
+    """How well views belong together, in words for an artist."""
 
     agreement: Agreement
     """`doubtful` views are used, of `failed` ones the better view alone"""
@@ -72,7 +72,7 @@ class View:
     times: np.ndarray | None = None
     """(S,) seconds after its first frame, by the first view's clock; None: as its rate says"""
     mirrored: bool = False
-    """Whether the clip shows the world mirrored, as selfie cameras do; pixels and camera are of the picture
+    """True if the clip shows the world mirrored, as selfie cameras do; pixels and camera are of the picture
     turned back"""
 
 

@@ -3,18 +3,50 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
-from handfit_core.capturing.options import add_options
+from handfit_core.capturing.options import (
+    Options,
+    add_options,
+    as_flag,
+    as_positive,
+    as_text,
+    as_whole,
+    option,
+)
 from handfit_core.common.files import path_of
-from handfit_core.common.machine import usable_cores
 from handfit_core.tasks.inputs import PAIRS
 
-_MOST_A_CORE: Final = 4
-"""Processes that --jobs may ask for: more would only fill the memory and wait for each other"""
 STYLES: Final = ("text", "json", "none")
+
+
+@dataclass(frozen=True)
+class BatchOptions(Options):
+    """How a batch is done. Raises OptionError."""
+
+    whose = "a batch"
+    no_sheet: bool = option(False, as_flag, "no contact sheet of each input")
+    overwrite: bool = option(False, as_flag, "write into result folders that exist")
+    flat: bool = option(False, as_flag, "all results directly in DIR, without a folder per input")
+    jobs: int | None = option(
+        None, as_whole, "inputs at a time", "N", least=1, by_default="by cores and memory"
+    )
+    scheduler: str | None = option(
+        None,
+        as_text,
+        "have the workers of this Dask scheduler capture, tcp://HOST:8786, or local: N workers that are "
+        "started here (--jobs)",
+        "ADDRESS",
+        by_default="processes of this machine",
+    )
+    timeout: float | None = option(
+        None, as_positive, "longest time for one input", "SECONDS", by_default="none"
+    )
+    again: bool = option(False, as_flag, "also do what is done already")
+    retry_failed: bool = option(False, as_flag, "also try inputs that failed for reasons of their own")
+    dry_run: bool = option(False, as_flag, "say what would be done, and do nothing")
 
 
 def add_batch_arguments(
@@ -43,26 +75,7 @@ def add_batch_arguments(
         ("separate", "each photo is an input of its own"),
     ):
         grouping.add_argument(f"--{name}", dest="grouping", action="store_const", const=name, help=said)
-    parser.add_argument("--no-sheet", action="store_true", help="no contact sheet of each input")
-    parser.add_argument("--overwrite", action="store_true", help="write into result folders that exist")
-    parser.add_argument(
-        "--flat", action="store_true", help="all results directly in DIR, without a folder per input"
-    )
-    parser.add_argument(
-        "--jobs", type=_jobs, metavar="N", help="inputs at a time (default: by cores and memory)"
-    )
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="have the workers of this Dask scheduler capture, tcp://HOST:8786, or local: N workers that are "
-        "started here (--jobs)",
-    )
-    parser.add_argument("--timeout", type=_seconds, metavar="SECONDS", help="longest time for one input")
-    parser.add_argument("--again", action="store_true", help="also do what is done already")
-    parser.add_argument(
-        "--retry-failed", action="store_true", help="also try inputs that failed for reasons of their own"
-    )
-    parser.add_argument("--dry-run", action="store_true", help="say what would be done, and do nothing")
+    add_options(parser, of=BatchOptions)
     parser.add_argument("--progress", choices=STYLES, default="text", help="how to tell (default: text)")
 
 
@@ -72,19 +85,3 @@ EXPORTS: Final = "--exports"
 """Has a batch make files of its takes, as a JSON object says: fields of `exporting.Exports`"""
 EXPORTED: Final = "exported: "
 """Begins the line with which a Blender answers that has made files of a take"""
-
-
-def _seconds(text: str) -> float:
-    """A time of more than 0 seconds."""
-    number = float(text)
-    if not 0.0 < number < math.inf:
-        raise argparse.ArgumentTypeError("more than 0 seconds are needed")
-    return number
-
-
-def _jobs(text: str) -> int:
-    """A number of at least 1; more than `_MOST_A_CORE` for each core are as many as these."""
-    number = int(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError("at least 1 is needed")
-    return min(number, _MOST_A_CORE * usable_cores())

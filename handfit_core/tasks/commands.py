@@ -18,7 +18,7 @@ from handfit_core.capturing.pipeline import check_options
 from handfit_core.common.errors import HandfitError, OptionError
 from handfit_core.common.files import check_writable
 from handfit_core.common.machine import usable_cores, usable_jobs
-from handfit_core.tasks.arguments import EXPORTS, WITH_PARENT, add_batch_arguments
+from handfit_core.tasks.arguments import EXPORTS, WITH_PARENT, BatchOptions, add_batch_arguments
 from handfit_core.tasks.capture import Settings
 from handfit_core.tasks.exporting import Exporters, Exports
 from handfit_core.tasks.inputs import PAIRS
@@ -35,6 +35,8 @@ from handfit_core.tasks.workers import (
     terminated_as_interrupted,
 )
 
+_MOST_A_CORE: Final = 4
+"""Processes that --jobs may ask for: more would only fill the memory and wait for each other"""
 EXIT_SOME_FAILED: Final = 1
 EXIT_USAGE: Final = 2
 
@@ -62,27 +64,27 @@ def _batch(args: argparse.Namespace) -> int:
 def _run(args: argparse.Namespace) -> int:
     """Do what is left. Returns the exit code. Raises OptionError where nothing can be tried."""
     options, output = CaptureOptions.of_arguments(args), args.output.absolute()
+    batch = BatchOptions.of_arguments(args)
     tasks = make_tasks(
         args.inputs,
         options,
         output,
         grouping=args.grouping,
-        sheet=not args.no_sheet,
-        flat=args.flat,
-        overwrite=args.overwrite,
+        sheet=not batch.no_sheet,
+        flat=batch.flat,
+        overwrite=batch.overwrite,
     )
     if not all(task.take for task in tasks):  # takes need nothing that captures
         _check_packages()
         check_options(options)
     exports = None
     if args.exports is not None:
-        said = {name: getattr(args, name) for name in ("again", "overwrite", "timeout", "debug")}
-        exports = Exports(**args.exports, **said)
+        exports = Exports(**args.exports, options=batch, debug=args.debug)
     found = list(zip(tasks, read_results(output, tasks), strict=True))
-    left = [task for task, result in found if _is_left(result, args)]
-    jobs = min(args.jobs or usable_jobs(), max(1, len(left)))
-    if args.dry_run:
-        return _tell(found, exports, jobs, args)
+    left = [task for task, result in found if _is_left(result, batch)]
+    jobs = min(batch.jobs or usable_jobs(), _MOST_A_CORE * usable_cores(), max(1, len(left)))
+    if batch.dry_run:
+        return _tell(found, exports, jobs, output, batch)
     try:
         check_writable(output / REPORT)
     except HandfitError as error:
@@ -91,42 +93,42 @@ def _run(args: argparse.Namespace) -> int:
     for name in ("model", "keypoints", "landmark_model", "view", "cameras"):
         if message.get(name, PAIRS) != PAIRS:  # workers may have been started in another folder
             message[name] = str(Path(message[name]).expanduser().absolute())
-    if args.scheduler not in (None, "local"):  # what cores there are nobody knows here
+    if batch.scheduler not in (None, "local"):  # what cores there are nobody knows here
         message["processes"] = options.processes or 1
-    elif jobs > 1 or args.scheduler is not None:  # each capture has its share of the cores
+    elif jobs > 1 or batch.scheduler is not None:  # each capture has its share of the cores
         message["processes"] = options.processes or max(1, usable_cores() // jobs)
-    settings = Settings(message, not args.no_sheet, args.timeout, args.again, uuid.uuid4().hex)
+    settings = Settings(message, not batch.no_sheet, batch.timeout, batch.again, uuid.uuid4().hex)
     with closing(Progress(output, tasks, args.progress)) as progress:
         for task, result in found:
-            if not _is_left(result, args):
+            if not _is_left(result, batch):
                 progress.ended(task, result)
         try:
             if left:
-                for task, result in run_tasks(left, _workers(output, settings, args, jobs)):
+                for task, result in run_tasks(
+                    left, _workers(output, settings, batch, jobs, alone=exports is None)
+                ):
                     progress.ended(task, result)
             if exports is not None:
-                _export(tasks, output, exports, args.jobs, progress)
+                _export(tasks, output, exports, progress)
         finally:
             progress.catch_up(exports)
     done = all(result.status == "ok" for result in progress.results.values())
     return 0 if done and not progress.trouble else EXIT_SOME_FAILED
 
 
-def _export(
-    tasks: Sequence[Task], output: Path, exports: Exports, jobs: int | None, progress: Progress
-) -> None:
+def _export(tasks: Sequence[Task], output: Path, exports: Exports, progress: Progress) -> None:
     """Have files made of the takes that lack some."""
     left = []
     for task in tasks:
         if progress.results[task.key].status != "ok":
             continue
-        entry = exports.entry(task, output, again=exports.again)
+        entry = exports.entry(task, output, again=exports.options.again)
         if entry.status == "failed":
             progress.exported(task, entry)
         elif entry.status == "pending":
             left.append(task)
     if left:
-        jobs = min(jobs or usable_jobs(), len(left))
+        jobs = min(exports.options.jobs or usable_jobs(), _MOST_A_CORE * usable_cores(), len(left))
         for task, result in run_tasks(left, Exporters(output, exports, jobs)):
             progress.exported(task, result)
 
@@ -141,33 +143,37 @@ def _check_packages() -> None:
         )
 
 
-def _is_left(result: Result, args: argparse.Namespace) -> bool:
-    if args.again or (result.status == "failed" and args.retry_failed):
+def _is_left(result: Result, batch: BatchOptions) -> bool:
+    if batch.again or (result.status == "failed" and batch.retry_failed):
         return True
     return result.status != "ok" and not result.is_final
 
 
-def _workers(output: Path, settings: Settings, args: argparse.Namespace, jobs: int) -> Workers:
-    """Who captures. Raises OptionError."""
-    if args.scheduler is not None:
-        return DaskWorkers(output, settings, args.scheduler, jobs)
+def _workers(output: Path, settings: Settings, batch: BatchOptions, jobs: int, *, alone: bool) -> Workers:
+    """Who captures; `alone`: nothing comes after it. Raises OptionError."""
+    if batch.scheduler is not None:
+        return DaskWorkers(output, settings, batch.scheduler, jobs)
     # A process that dies or takes too long must not be this one, unless somebody wants it so.
-    alone = args.jobs == 1 and args.timeout is None and args.exports is None
-    if alone or (args.jobs is None and args.timeout is None and importlib.util.find_spec("loky") is None):
+    lacks_loky = batch.jobs is None and importlib.util.find_spec("loky") is None
+    if batch.timeout is None and (lacks_loky or (alone and batch.jobs == 1)):
         return Workers(output, settings)
     return LocalProcesses(output, settings, jobs)
 
 
 def _tell(
-    found: Sequence[tuple[Task, Result]], exports: Exports | None, jobs: int, args: argparse.Namespace
+    found: Sequence[tuple[Task, Result]],
+    exports: Exports | None,
+    jobs: int,
+    output: Path,
+    batch: BatchOptions,
 ) -> int:
     """What would be done."""
-    count, output = 0, args.output.absolute()
+    count = 0
     for task, result in found:
         status, said = "to do", task.error
-        if not _is_left(result, args):
+        if not _is_left(result, batch):
             if result.status == "ok" and exports is not None:
-                result = exports.entry(task, output, again=args.again)
+                result = exports.entry(task, output, again=batch.again)
             status, said = {"ok": "done", "pending": "to do"}.get(result.status, "failed"), result.error
             said += "; --retry-failed tries it again" if result.is_final else ""
         count += status == "to do"

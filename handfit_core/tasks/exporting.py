@@ -14,18 +14,15 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from handfit_core.common.errors import OutputError
 from handfit_core.common.files import shown
-from handfit_core.tasks.arguments import EXPORTED
+from handfit_core.tasks.arguments import EXPORTED, BatchOptions
 from handfit_core.tasks.record import Attempt, Record, Result, remove_abandoned, said_of_changed
 from handfit_core.tasks.report import result_of
 from handfit_core.tasks.task import Task
 from handfit_core.tasks.workers import ProcessDied, Workers
-
-_ENDING: Final = 10.0
-"""Seconds that a Blender may take to end"""
 
 
 @dataclass(frozen=True)
@@ -41,10 +38,9 @@ class Exports:
     formats: Sequence[str]
     key: str
     """Changes with what decides the files of a take, beside the options of the capture"""
-    again: bool = False
-    overwrite: bool = False
-    timeout: float | None = None
+    options: BatchOptions
     debug: bool = False
+    """Whether what the Blenders say on stderr is shown"""
 
     def entry(self, task: Task, output: Path, *, again: bool = False) -> Result:
         """What the report says of a task: pending while formats are missing, all of them with `again`."""
@@ -53,7 +49,7 @@ class Exports:
             exported = Exported(task, output, self.key)
             exported.fill_in(result)
             try:
-                left = exported.left(self.formats, again=again, overwrite=self.overwrite)
+                left = exported.left(self.formats, again=again, overwrite=self.options.overwrite)
             except OutputError as error:
                 return replace(result, status="failed", error=str(error))
             result.status = "pending" if left else "ok"
@@ -161,7 +157,8 @@ class Exporters(Workers):
         exports = self._exports
         exported, began = Exported(task, self.output, exports.key), time.perf_counter()
         try:
-            left = exported.left(exports.formats, again=exports.again, overwrite=exports.overwrite)
+            again, overwrite = exports.options.again, exports.options.overwrite
+            left = exported.left(exports.formats, again=again, overwrite=overwrite)
             exported.begin(left)
             remove_abandoned(exported.folder)
             model = exports.given["model"] if task.take else None
@@ -180,7 +177,7 @@ class Exporters(Workers):
         self._busy.append(child)
         assert child.stdin is not None
         assert child.stdout is not None
-        late, limit = threading.Event(), self._exports.timeout
+        late, limit = threading.Event(), self._exports.options.timeout
         timer = threading.Timer(limit or 0.0, lambda: (late.set(), child.kill()))
         if limit:
             timer.start()

@@ -7,13 +7,12 @@ docs/worker-protocol.md lists the messages.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from handfit_core.common.errors import Cancelled
 from handfit_core.common.version import __version__
-from handfit_core.worker.events import Event, WorkerError, as_error, encode
+from handfit_core.worker.events import Event, WorkerError, encode
 from handfit_core.worker.interpreter import (
     EXIT_UNFIT,
     PYTHON_VARIABLE,
@@ -26,13 +25,9 @@ from handfit_core.worker.process import ChildProcess
 
 _START_SECONDS = 60.0
 """seconds until a started process must have said that it is ready"""
-_POLL_SECONDS = 0.05
-"""seconds that one look at a process waits for news"""
 _STOP_SECONDS = 0.03
 """seconds that Blender's main thread gives a process to end by itself; one that has loaded torch needs some
 0.1, all of it to give back memory"""
-_SCRIPT_STOP_SECONDS = 3.0
-"""seconds that a script gives a process to end by itself"""
 CHOOSE_PYTHON = "choose a Python that has SciPy, OpenCV and MediaPipe"
 """What to do about a Python that cannot capture; where it is chosen follows"""
 ENDED = (
@@ -45,8 +40,8 @@ ENDED = (
 class Worker:
     """One process that captures. It starts with the first request; after a crash the next one starts another.
 
-    Nothing but `wait` blocks, and `stop` for a moment. No thread runs for it: what the process says is taken
-    in by `events` and `wait`, and it works on only as long as somebody calls them.
+    Nothing blocks, but `stop` for a moment. No thread runs for it: what the process says is taken in by
+    `events`, and it works on only as long as somebody calls that.
     """
 
     def __init__(
@@ -68,39 +63,22 @@ class Worker:
         self._advice = advice
         self._bytecode = bytecode if is_current_interpreter(self.python) else None
         self._child: ChildProcess | None = None
-        self._last_child: ChildProcess | None = None
         self.ready: Event | None = None
-        """The process's `ready` event, with its versions; None until `events` or `wait` has seen it"""
+        """The process's `ready` event, with its versions; None until `events` has seen it"""
         self._start_deadline = 0.0
         self._number = 0
         self._open: dict[int, str] = {}
         """Number -> kind of the requests that have had no last event"""
         self._events: list[Event] = []
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop(_SCRIPT_STOP_SECONDS)
-
     @property
     def busy(self) -> bool:
         """Whether a request has not been answered, or an answer was not taken yet."""
         return bool(self._open or self._events)
 
-    @property
-    def alive(self) -> bool:
-        """Whether the process runs."""
-        return self._child is not None and self._child.exit_code is None
-
-    @property
-    def pid(self) -> int | None:
-        """The running process's id."""
-        return self._child.pid if self.alive and self._child else None
-
     def start(self) -> None:
         """Start the process unless it runs; returns at once. Raises WorkerError."""
-        self._collect(0.0)
+        self._collect()
         if self._child is not None:
             return
         command = worker_command(self.python)
@@ -114,7 +92,6 @@ class Worker:
             )
         except OSError as error:
             raise WorkerError(self._unfit(f"cannot be started ({error.strerror or error})")) from error
-        self._last_child = self._child
         self.ready = None
         self._start_deadline = time.monotonic() + _START_SECONDS
 
@@ -142,7 +119,7 @@ class Worker:
         """Have a request stopped as soon as it can be, and throw away what it answers."""
         self.cancel(request)
         self._open.pop(request, None)
-        self._take_events((request,))
+        self.events(request)
 
     def tell(self, request: int, kind: str, /, **fields: Any) -> None:
         """Say something to a request that runs (`live-record`, `live-calibrate`); nothing to one that is
@@ -150,44 +127,16 @@ class Worker:
         if request in self._open and self._child is not None:
             self._child.send(encode({"request": kind, "job": request, **fields}))
 
-    def events(self, *ids: int, wait: float = 0.0) -> list[Event]:
-        """The events since the last call, in order; where there are none, it waits up to `wait` seconds.
+    def events(self, *ids: int) -> list[Event]:
+        """The events since the last call, in order.
 
         With `ids` only those of these requests; the others are kept for who asks for them. Where the process
         has died, every open request gets an `error`.
         """
-        self._collect(0.0)
-        found = self._take_events(ids)
-        if not found and wait and self._open:
-            self._collect(wait)
-            found = self._take_events(ids)
+        self._collect()
+        found = [event for event in self._events if not ids or event["id"] in ids]
+        self._events = [event for event in self._events if ids and event["id"] not in ids]
         return found
-
-    def wait(
-        self, request: int, on_event: Callable[[Event], None] | None = None, timeout: float | None = None
-    ) -> Event:
-        """Block until a request is done; returns its `done` event. `on_event` gets the events before.
-
-        Raises the HandfitError that the request ended in (InputError, NoHandFoundError, Cancelled, ...) or
-        WorkerError. After `timeout` seconds everything is ended, and with it every open request.
-        """
-        kind = self._open.get(request, "request")
-        deadline = None if timeout is None else time.monotonic() + timeout
-        while True:
-            for event in self.events(request, wait=_POLL_SECONDS):
-                if event["event"] == "done":
-                    return event
-                if event["event"] == "error":
-                    raise as_error(event)
-                if on_event:
-                    on_event(event)
-            if request not in self._open:
-                raise ValueError(f"request {request} does not exist, or was answered before")
-            if deadline is not None and time.monotonic() > deadline:
-                self._give_up(
-                    f"the {kind} took longer than {timeout:g} seconds and was stopped; allow it more time, "
-                    "or give it fewer frames"
-                )
 
     def stop(self, seconds: float = _STOP_SECONDS) -> None:
         """End the process; open requests get an `error` of type Cancelled.
@@ -200,22 +149,11 @@ class Worker:
             child.stop(seconds)
         self._fail_all(Cancelled.__name__, "stopped before it was finished", "")
 
-    def details(self) -> str:
-        """What the process, or the last one, said on stderr, and how it ended; for a bug report."""
-        child = self._last_child
-        if child is None:
-            return ""
-        code = child.exit_code
-        how = "" if code is None else f"the process ended with exit code {code}"
-        return "\n".join(filter(None, (child.stderr_tail().strip(), how)))
-
-    def _collect(self, wait: float) -> None:
+    def _collect(self) -> None:
         """Take in what the process said since the last time."""
         child = self._child
         if child is None:
             return
-        if wait:
-            child.wait_for_io(wait)
         child.exchange()
         ended = child.ended()
         for message in child.received():
@@ -232,17 +170,14 @@ class Worker:
             self._give_up(said)
 
     def _receive_first(self, message: Event) -> None:
-        """Take in a process's first message; gives up on the process if it is not the `ready` event of this
-        version."""
-        if message.get("event") != "ready":
-            self._give_up(self._unfit("answered in an unknown way"))
-        elif message.get("version") != __version__:
+        """Take in a process's `ready` event; gives up on a process of another version."""
+        if message.get("version") == __version__:
+            self.ready = message
+        else:
             self._give_up(
                 f"the add-on was updated from version {__version__} to {message.get('version')} while "
                 "Blender was running; restart Blender"
             )
-        else:
-            self.ready = message
 
     def _receive(self, message: Event) -> None:
         """Take in an event of a request that is open."""
@@ -263,12 +198,6 @@ class Worker:
             self._events = [e for e, is_same in zip(self._events, same, strict=True) if not is_same]
         self._events.append(message)
 
-    def _take_events(self, ids: tuple[int, ...]) -> list[Event]:
-        """Take out and return the events of these requests, of all where none are named."""
-        found = [event for event in self._events if not ids or event["id"] in ids]
-        self._events = [event for event in self._events if ids and event["id"] not in ids]
-        return found
-
     def _fail_all(self, kind: str, message: str, details: str) -> None:
         fields = {"event": "error", "type": kind, "message": message, "details": details}
         self._events += [{**fields, "id": request} for request in self._open]
@@ -277,9 +206,12 @@ class Worker:
     def _give_up(self, why: str) -> None:
         """Kill the process and answer every open request with a WorkerError."""
         child, self._child, self.ready = self._child, None, None
+        details = ""
         if child is not None:
             child.kill()
-        self._fail_all(WorkerError.__name__, why, self.details())
+            how = "" if child.exit_code is None else f"the process ended with exit code {child.exit_code}"
+            details = "\n".join(filter(None, (child.stderr_tail().strip(), how)))
+        self._fail_all(WorkerError.__name__, why, details)
 
     def _end_at_start(self, child: ChildProcess) -> str:
         """The sentence about a Python whose process ended before it was ready, with what it said last."""

@@ -9,7 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.capturing.live.streaming import Calibration, Live, LiveHand, LiveOptions, picture
+from handfit_core.capturing.live.streaming import Calibration, Live, LiveHand, picture
+from handfit_core.capturing.options import CaptureOptions, LiveOptions
 from handfit_core.common.arrays import pack
 from handfit_core.common.errors import HandfitError, OptionError
 from handfit_core.media.recording import ClipWriter
@@ -28,7 +29,8 @@ def follow(
 ) -> dict[str, Any]:
     """Follow the hands of the request's source; returns the fields of its `done` event. `say` sends an event
     with these fields; `told` has what the client says meanwhile. Raises what `Live` raises."""
-    options = LiveOptions.of_message(message.get("options") or {}, message.get("live") or {})
+    capture = CaptureOptions.of_message(message.get("options") or {})
+    options = LiveOptions.of_message(message.get("live") or {}, capture=capture)
     width, mirror = message.get("picture") or 0, bool(message.get("mirror"))
     if isinstance(width, bool) or not isinstance(width, int) or not 0 <= width <= _WIDEST:
         raise OptionError(f"the live picture must be 0 to {_WIDEST} pixels wide, not {width!r}")

@@ -30,8 +30,6 @@ class Placed:
     side: Side
     kind: str
     """A key of `POSES`, or `grasp`"""
-    angles: np.ndarray
-    """(15, 3) radians, as a right hand's"""
     betas: np.ndarray
     """(10,)"""
     shaped: ShapedHand
@@ -88,7 +86,6 @@ def random_hand(
     return Placed(
         side=side,
         kind=kind,
-        angles=angles,
         betas=betas,
         shaped=shaped,
         pose=pose,

@@ -72,35 +72,21 @@ def fix(path: Path) -> None:
     beside.replace(path)
 
 
-def extension_tool(blender: str | None = None) -> list[str]:
-    """The command of Blender's extension tool: of the executable, else of this Python's bpy wheel.
-
-    Raises BuildError.
-    """
-    if blender:
-        if executable := shutil.which(blender):
-            return [executable, "--command", "extension"]
-        raise BuildError(f"{blender}: there is no such Blender; give its executable with --blender")
+def extension_tool() -> list[str]:
+    """The command of Blender's extension tool, which is in this Python's bpy wheel. Raises BuildError."""
     spec = importlib.util.find_spec("bpy")
     for folder in (spec.submodule_search_locations or ()) if spec else ():
         if scripts := sorted(Path(folder).glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py")):
             return [sys.executable, "-I", str(scripts[-1])]
     raise BuildError(
-        f"{sys.executable}: this Python has no bpy wheel, whose extension tool makes the zip; "
-        "run `nox -s build`, or name a Blender with --blender"
+        f"{sys.executable}: this Python has no bpy wheel, whose tool makes the zip; run `nox -s build`"
     )
 
 
 def run_tool(tool: Sequence[str], *arguments: str) -> None:
     """`build` or `validate`. Raises BuildError with what the tool says against it."""
-    try:
-        done = subprocess.run(
-            [*tool, *arguments], capture_output=True, text=True, errors="replace", check=False
-        )
-    except OSError as error:
-        raise BuildError(
-            f"{tool[0]}: this cannot be run ({error.strerror}); give a Blender with --blender"
-        ) from error
+    command = [*tool, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     if done.returncode:
         said = (done.stdout + done.stderr).strip() or f"it ended with {done.returncode} and said nothing"
-        raise BuildError(f"Blender's extension tool refused ({' '.join([*tool, *arguments])}):\n{said}")
+        raise BuildError(f"Blender's extension tool refused ({' '.join(command)}):\n{said}")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
 
+from blender_manient.common import preferences
 from blender_manient.operators.capture import new_request
 from blender_manient.panels.capture import MANIENT_PT_capture
 from blender_manient.scene.keys import read_pose_keys
@@ -20,6 +21,8 @@ from handfit_core.common.errors import HandfitError
 from handfit_core.common.skeleton import FINGERS
 from tests.capturing import needs_capture
 from tests.drawn import drawn
+
+from .conftest import READY
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -61,6 +64,20 @@ def test_stop_stands_below_the_progress_and_is_grey_while_hands_are_built(photo,
     finally:
         job.state = "done"
         jobs.abandon()
+
+
+def test_a_worker_that_dies_fails_its_capture_alone(photo, settings, peer):
+    settings.source = str(photo)
+    preferences.get().python = peer(f"{READY}sys.stdin.readline(); os._exit(3)")
+    with pytest.raises(RuntimeError, match=r"^Error: my hand\.jpg: The capturing process ended unexpectedly"):
+        bpy.ops.manient.capture()
+    (job,) = jobs.jobs()
+    assert (job.state, job.activity()) == ("failed", job.result.message)
+    assert job.result.message.startswith("The capturing process ended unexpectedly")
+    assert "Traceback" not in job.result.summary()
+    assert f"Capture of {photo.name}" in bpy.data.texts["Hand Capture Details"].as_string()
+    assert not jobs.busy()
+    assert hands() == []
 
 
 def tick_until(condition, seconds: float = 60.0) -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import shutil
+import time
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 
+from blender_manient.common import preferences
 from blender_manient.operators.capture import new_request
 from blender_manient.operators.find_hands import MANIENT_OT_find_hands, chosen_source
 from blender_manient.operators.modes.choice import FOUND_AGAIN, Choice, FoundHand
@@ -24,6 +26,9 @@ from handfit_core.detect.detector import Region
 from handfit_core.geometry.picture_map import mapped
 from tests.capturing import needs_capture
 from tests.drawn import drawn
+from tests.waiting import wait_for
+
+from .conftest import READY
 
 SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
 SHAPE = np.random.default_rng(3).uniform(-20.0, 20.0, (21, 2))
@@ -105,6 +110,21 @@ def test_a_box_of_two_pixels_is_not_searched():
     mode.picture_view, mode.choice, mode.message = PictureView((640, 480)), Choice(), ""
     mode.search_box(np.array([[10.0, 10.0], [12.0, 12.0]]))
     assert mode.message.startswith("The box is too small")
+
+
+def test_a_worker_that_dies_while_hands_are_looked_for_is_a_sentence(settings, peer):
+    settings.source = str(SAMPLE / "hand.0001.jpg")
+    preferences.get().python = peer(f"{READY}sys.stdin.readline(); os._exit(3)")
+    mode = FindMode.__new__(FindMode)  # without a window to draw in
+    mode.source, mode.choice, mode.message = chosen_source(bpy.context), Choice(), ""
+    mode._asked, mode._showing, mode._boxes = {}, None, []
+    mode._finding = mode._ask()
+    end = time.monotonic() + 60.0
+    while mode.busy and time.monotonic() < end:
+        mode.tick(bpy.context)
+        time.sleep(0.005)
+    assert mode.message.startswith("The capturing process ended unexpectedly")
+    assert not mode.busy
 
 
 def test_the_hand_that_is_pointed_at(choice):
@@ -196,17 +216,19 @@ def test_what_was_found_and_turned_is_built(settings, tmp_path):
     settings.source = str(shutil.copy(SAMPLE / "hand.0007.jpg", tmp_path / "hand.jpg"))
     source, picture = chosen_source(bpy.context), tmp_path / "shown.jpg"
     worker = shared_worker.worker()
-    shown = worker.wait(worker.submit("find", **source.fields(picture=picture)), timeout=120)
+    shown = wait_for(worker, worker.submit("find", **source.fields(picture=picture)), timeout=120)
     assert (shown["width"], shown["height"], shown["hands"]) == (640, 480, [])
     assert picture.is_file()
-    found = worker.wait(worker.submit("find", **source.fields()), timeout=120)
+    found = wait_for(worker, worker.submit("find", **source.fields()), timeout=120)
     choice = Choice()
     choice.show(found["hands"], settings.hands)
     ((_, side, chosen),) = state(choice)
     assert (side, chosen) == ("right", True)
     box = tuple(np.add(choice.hands[0].box, [-20.0, -20.0, 40.0, 40.0]).tolist())
     known = [pack(choice.hands[0].points.astype(np.float32))]
-    (again,) = worker.wait(worker.submit("find", **source.fields(box), known=known), timeout=120)["hands"]
+    (again,) = wait_for(worker, worker.submit("find", **source.fields(box), known=known), timeout=120)[
+        "hands"
+    ]
     assert choice.add(FoundHand.of(again, drawn=box)) == FOUND_AGAIN
     choice.flip_side(choice.hands[0])
     regions = (*choice.regions(source.frame), Region(1.0, 1.0, 2.0, 2.0))

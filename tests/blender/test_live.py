@@ -23,6 +23,7 @@ from handfit_core.media.lenses import MeasuredLens, save_lens
 from tests.capturing import needs_capture
 from tests.conftest import ROOT
 from tests.drawn import drawn
+from tests.waiting import alive
 
 from .characters import build_armature, hand_specs, joint_name, map_of
 from .conftest import action_curves
@@ -69,7 +70,7 @@ def seen(session):
 def ended(session):
     session.stop()
     until(session, lambda: session.over)
-    assert not session.worker.alive
+    assert not alive(session.worker)
 
 
 def content():
@@ -246,7 +247,7 @@ def test_a_source_that_cannot_be_opened_is_a_sentence(settings, source, word, mo
     until(session, lambda: session.over)
     assert isinstance(session.error, HandfitError)
     assert word in str(session.error)
-    assert not session.worker.alive
+    assert not alive(session.worker)
 
 
 def test_an_address_that_does_not_answer_is_a_sentence_until_stop(settings):
@@ -285,7 +286,7 @@ def test_a_file_that_is_saved_meanwhile_holds_no_live_hand(settings, tmp_path):
     seen(session)
     bpy.ops.wm.open_mainfile(filepath=path)
     assert session.over
-    assert not session.worker.alive
+    assert not alive(session.worker)
     assert not bpy.data.objects
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
+import time
 
 import bpy
 import numpy as np
@@ -14,13 +15,15 @@ import blender_manient
 from blender_manient.batch.arguments import add_arguments
 from blender_manient.common import preferences
 from blender_manient.operators import housekeeping
+from blender_manient.operators.base import finish
 from blender_manient.operators.capture import new_request
 from blender_manient.panels.advanced import MANIENT_PT_advanced
-from blender_manient.session import cache, shared_worker
+from blender_manient.session import cache, details, shared_worker
 from handfit_core.capturing.options import OPTIONS, CaptureOptions
-from handfit_core.common.errors import OutputError
+from handfit_core.common.errors import HandfitError, OutputError
 from tests.conftest import ROOT
 from tests.drawn import drawn
+from tests.waiting import alive, pid_of, wait_for
 
 from .conftest import READY, write_png
 
@@ -149,11 +152,49 @@ def test_one_worker_until_the_preferences_change_and_it_is_free(registered, peer
     request = worker.submit("warm")
     preferences.get().threads = 2
     assert shared_worker.worker() is worker
-    worker.wait(request, timeout=20)
+    wait_for(worker, request, timeout=20)
     other = shared_worker.worker()
     assert other is not worker
     assert shared_worker.current() is other
-    assert not worker.alive
+    assert not alive(worker)
+
+
+TELLS = f"""{READY}
+for line in sys.stdin:
+    asked = json.loads(line)
+    told = [dict(event="warning", message="it is dark", offer="")]
+    told += [dict(event="progress", stage="detect", view=1, done=2, total=8)]
+    told += [dict(event="warning", message="another hand is likely", offer="find_hands")]
+    told += [dict(event="done", said=5)] if asked["request"] == "probe" else []
+    why = dict(event="error", message="no room", details="Traceback")
+    told += [why | dict(type=asked["request"])] if asked["request"][0].isupper() else []
+    for event in told if "id" in asked else ():
+        print(json.dumps({{"id": asked["id"], **event}}), flush=True)
+"""
+
+
+def test_a_request_tells_how_far_it_is_and_is_cancelled_where_nobody_waits(registered, peer):
+    preferences.get().python = peer(TELLS)
+    abandoned = shared_worker.ask("capture", "Looking")
+    while not next(abandoned).offer:
+        time.sleep(0.005)
+    abandoned.close()
+    assert not shared_worker.worker().busy
+    asking, told, answer = shared_worker.ask("probe", "Looking"), [], None
+    while answer is None:
+        try:
+            told.append(next(asking))
+        except StopIteration as stop:
+            answer = stop.value
+    assert answer["said"] == 5
+    assert (str(told[0]), told[0].stage_text()) == ("Looking  0 s", "Looking")
+    assert told[-1].warnings == ("another hand is likely", "it is dark"), "that with an offer is the first"
+    assert (told[-1].offer, told[-1].part, str(told[-1])) == ("find_hands", 0.25, "Looking  2/8")
+    assert told[-1].stage_text(views=2) == "Finding hands, view 2  2/8"
+    for kind, is_written in (("Cancelled", False), ("OutputError", True)):
+        with pytest.raises(HandfitError, match="no room"):
+            finish(shared_worker.ask(kind, "Looking"))
+        assert (details.local_text(details.TEXT_NAME) is not None) == is_written
 
 
 def test_unregister_ends_it_and_its_files(peer, tmp_path):
@@ -162,8 +203,7 @@ def test_unregister_ends_it_and_its_files(peer, tmp_path):
     preferences.get().python = peer(f"answers = False{PEER}")
     worker = shared_worker.worker()
     worker.submit("warm")
-    pid = worker.pid
-    assert pid is not None
+    pid = pid_of(worker)
     take = cache.temporary_take("a photo.jpg")
     take.write_bytes(b"x")
     blender_manient.unregister()
@@ -178,7 +218,7 @@ def test_the_panel_offers_the_plug_ins_that_the_worker_tells_of(registered, peer
     assert not {"solver", "detector"} & set(drawn(MANIENT_PT_advanced).said.split())
     preferences.get().python = peer(f"answers = True{PEER}")
     worker = shared_worker.worker()
-    worker.wait(worker.submit("warm"), timeout=20)
+    wait_for(worker, worker.submit("warm"), timeout=20)
     assert {"solver", "detector"} <= set(drawn(MANIENT_PT_advanced).said.split())
     assert [shared_worker.detectors(), shared_worker.solvers()] == [
         ["mediapipe", "bright-spot"],

@@ -17,7 +17,7 @@ import pytest
 import blender_manient
 from blender_manient.common import preferences
 from blender_manient.exporters.take import retaken
-from blender_manient.operators import edit_keypoints
+from blender_manient.operators.edit_keypoints import MANIENT_OT_edit_keypoints
 from blender_manient.operators.grip import _near
 from blender_manient.operators.modes.keypoints import KeypointMode
 from blender_manient.operators.refit_range import replaced
@@ -38,6 +38,7 @@ from handfit_core.worker.client import Worker
 from tests.capturing import needs_capture
 from tests.drawn import drawn
 from tests.takes import seen_as
+from tests.waiting import stopping, wait_for
 
 from .conftest import READY, joint_heads
 from .importing import imported, read_back
@@ -64,8 +65,8 @@ def take_file(tmp_path_factory) -> Path:
     """A capture of the rendered hand, 24 frames, with its detections."""
     path = tmp_path_factory.mktemp("captured") / "hand.take.npz"
     pictures = sorted(str(p) for p in (ROOT / "samples" / "rendered_hand").glob("*.jpg"))
-    with Worker() as worker:
-        worker.wait(worker.submit("capture", input=pictures, output=str(path)), timeout=300)
+    with stopping(Worker()) as worker:
+        wait_for(worker, worker.submit("capture", input=pictures, output=str(path)), timeout=300)
     return path
 
 
@@ -587,7 +588,7 @@ def test_what_cannot_be_done_says_so(armature, operator, fields, said):
     with pytest.raises(RuntimeError, match=said):
         getattr(bpy.ops.manient, operator)(**fields)
     assert corrections.corrections_text(armature) == ""
-    assert not edit_keypoints.running()
+    assert MANIENT_OT_edit_keypoints.current is None
 
 
 def test_a_worker_that_dies_changes_nothing_and_the_next_one_works(armature, peer):
@@ -609,6 +610,22 @@ def test_a_worker_that_dies_changes_nothing_and_the_next_one_works(armature, pee
     while shared_worker.worker().alive and time.monotonic() < deadline:
         time.sleep(0.01)
     drag(armature)
+
+
+@pytest.mark.parametrize(
+    ("operator", "fields"),
+    [("refit_range", {}), ("touch", TOUCH), ("smooth_motion", {"strength": 2.0}), ("add_arms", {})],
+)
+def test_a_worker_that_dies_in_the_middle_is_a_sentence(armature, peer, operator, fields):
+    before = all_keys(armature)
+    preferences.get().python = peer(f"{READY}sys.stdin.readline(); os._exit(3)")
+    try:
+        with pytest.raises(RuntimeError, match=r"(?i)^error: the capturing process ended"):
+            getattr(bpy.ops.manient, operator)(**fields)
+    finally:
+        preferences.get().python = ""
+    np.testing.assert_array_equal(all_keys(armature).quats, before.quats)
+    assert corrections.corrections_text(armature) == ""
 
 
 def test_another_frame_while_dragging_shows_its_own_pose(armature):

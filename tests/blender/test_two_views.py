@@ -155,13 +155,13 @@ def test_a_frame_of_each_view_tells_the_offset(take, tmp_path):
     settings.use_offset, settings.use_pair, settings.offset = True, True, 9.0
     settings.pair = 31, 11
     with pytest.raises(OptionError, match="rates"):
-        source_info.told_offset(settings)
+        source_info.chosen_offset(settings)
     for field, rate in zip(source_info.VIEWS, (30.0, RATE), strict=True):
         info = source_info.of(settings, field)
         info.fps, info.frames, info.first, info.last = rate, 40, 1, 40
-    assert source_info.told_offset(settings) == pytest.approx(1.0 - 0.4)
+    assert source_info.chosen_offset(settings) == pytest.approx(1.0 - 0.4)
     settings.use_frames, settings.first_frame = True, 16
-    assert source_info.told_offset(settings) == pytest.approx(0.5 - 0.4), "the used range starts later"
+    assert source_info.chosen_offset(settings) == pytest.approx(0.5 - 0.4), "the used range starts later"
     settings.pair = 99, 0
     assert tuple(settings.pair) == (40, 1)
     settings.second_view = ""

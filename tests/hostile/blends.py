@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.hostile import takes
 from tests.hostile.engine import Case, Place
-from tests.hostile.mutations import mutants, told
+from tests.hostile.mutations import json_with, mutants
 from tests.hostile.npz import DEEP, VALUES, header_lies, lies, some
 
 CORRECTION: dict[str, Any] = {
@@ -97,7 +97,7 @@ def cases() -> Iterator[Case]:
     of_frame = ("pins", "touches", "spread", "rotation", "location", "start_rotation", "start_location")
     for path in (("version",), ("frames",), ("frames", "3"), *(("frames", "3", name) for name in of_frame)):
         for lie, text in VALUES.items():
-            yield _blend(f"correction-{path[-1]}-{lie}", _corrections(told(CORRECTION, path, text)))
+            yield _blend(f"correction-{path[-1]}-{lie}", _corrections(json_with(CORRECTION, path, text)))
     kept = ("x", "core.take", takes.one_hand, "take.npz")
     for case in (*lies(*kept), *header_lies(*kept, takes.HEADER)):
         if case.known or some(case.name, 6):

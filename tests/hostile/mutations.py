@@ -74,7 +74,7 @@ def mutants(
             yield file_case(f"{stem}-{mutation.__name__}-{number}", door, file, made, **arguments)
 
 
-def told(content: Any, path: tuple[str | int, ...], text: str) -> str:
+def json_with(content: Any, path: tuple[str | int, ...], text: str) -> str:
     """`content` as JSON, with that text where `path` leads."""
     content = inner = json.loads(json.dumps(content))
     for key in path[:-1]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from tests.hostile.engine import Case, Place, file_case
-from tests.hostile.mutations import system_call, told
+from tests.hostile.mutations import json_with, system_call
 
 Arrays = dict[str, np.ndarray]
 
@@ -192,7 +192,7 @@ def header_lies(
 
     def lying(field: tuple[str, ...], text: str, _: Place) -> bytes:
         arrays = dict(good())
-        arrays["header"] = np.array(told(json.loads(str(arrays["header"][()])), field, text))
+        arrays["header"] = np.array(json_with(json.loads(str(arrays["header"][()])), field, text))
         return zipped({key: member(array) for key, array in arrays.items()})
 
     for field in fields:

@@ -17,7 +17,7 @@ import numpy as np
 
 from tests.core.interchange.every_format import keypoint_files, other_files
 from tests.hostile.engine import ODD, Case, Place, file_case, table
-from tests.hostile.mutations import MUTATIONS, mutants, mutated, told
+from tests.hostile.mutations import MUTATIONS, json_with, mutants, mutated
 from tests.hostile.npz import VALUES, lies, npy_lies, raw_member, some
 from tests.hostile.pickles import harms
 
@@ -259,9 +259,9 @@ def _of_file(good: Good, data: bytes) -> Iterator[Case]:
 def _lying(held: Any, path: tuple[str | int, ...], text: str, name: str) -> bytes:
     """JSON with that text where `path` leads, or lines of it."""
     if not name.endswith(".jsonl"):
-        return told(held, path, text).encode()
+        return json_with(held, path, text).encode()
     lines = [json.dumps(line) for line in held]
-    lines[0] = told(held[0], path[1:], text) if path[1:] else text
+    lines[0] = json_with(held[0], path[1:], text) if path[1:] else text
     return "\n".join(lines).encode()
 
 

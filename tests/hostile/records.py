@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from tests.hostile.engine import ODD, RESULTS, Case, Place
-from tests.hostile.mutations import MUTATIONS, mutated, told
+from tests.hostile.mutations import MUTATIONS, json_with, mutated
 from tests.hostile.npz import VALUES
 
 RECORD = f"{RESULTS}/a/a.json"
@@ -69,7 +69,7 @@ def cases() -> Iterator[Case]:
         for field in FIELDS.split():
             path = tuple(int(key) if key.isdigit() else key.replace("&", ".") for key in field.split("."))
             for value, text in VALUES.items():
-                lie = lambda _, p=path, t=text, s=status: told(good(s), p, t).encode()  # noqa: E731
+                lie = lambda _, p=path, t=text, s=status: json_with(good(s), p, t).encode()  # noqa: E731
                 yield _case(f"{status}-{field.replace('.', '-').replace('&', '-')}-{value}", lie)
     for kind, put in ODD.items():
         yield _case(f"is-a-{kind}", lambda _: b"", ("a.json", put), kind == "pipe")

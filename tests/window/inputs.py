@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import os
 import shutil
-import subprocess
-import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from handfit_core.common.skeleton import KEYPOINT_PARENTS, SIDES
 from handfit_core.edit import landmark_points
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.media.source import Source
@@ -23,6 +22,7 @@ from handfit_core.take import Take
 from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles
 from scripts.benchmark.poses import random_pose
 from tests.conftest import samples_dir
+from tests.films import all_around, film
 from tests.takes import correctable, take_of, track_of, with_arms
 
 RENDERED_HAND = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
@@ -42,15 +42,13 @@ class Inputs:
     @property
     def portrait(self) -> Path:
         """The same hand in a picture of 300 x 480 pixels."""
-        code = "cv2.imwrite(sys.argv[2], cv2.imread(sys.argv[1])[:, 160:460])"
-        return self._written("portrait.jpg", code, RENDERED_HAND / "hand.0001.jpg")
+        return _written(self.folder / "portrait.jpg", _rendered(1)[:, 160:460])
 
     @property
     def four_hands(self) -> Path:
         """A picture of two right hands and two left ones."""
-        code = "hand = cv2.imread(sys.argv[1]); row = np.hstack([hand, hand[:, ::-1]])\n"
-        code += "cv2.imwrite(sys.argv[2], np.vstack([row, row]))"
-        return self._written("four.jpg", code, RENDERED_HAND / "hand.0007.jpg")
+        row = np.hstack([_rendered(7), _rendered(7)[:, ::-1]])
+        return _written(self.folder / "four.jpg", np.vstack([row, row]))
 
     @property
     def words(self) -> Path:
@@ -67,7 +65,8 @@ class Inputs:
     @property
     def film_of_the_board(self) -> Path:
         """A film that tells its lens."""
-        return self._written("board.mp4", _FILM_BOARD, RENDERED_HAND.parents[1])
+        lens = Lens(Intrinsics(430.0, 430.0, 320.0, 240.0), (0.0,) * 5, 640, 480)
+        return film(self.folder / "board.mp4", lens, all_around(lens, 20))
 
     @property
     def two_cameras(self) -> dict[str, Path]:
@@ -87,7 +86,10 @@ class Inputs:
 
     def clip(self, frames: int, blank_from: int | None = None) -> Path:
         """A video of the bundled hand, to and fro; from `blank_from` on it shows nothing."""
-        return self._written("clip.mp4", _WRITE_CLIP, RENDERED_HAND, frames, blank_from)
+        shown = _to_and_fro([_rendered(number) for number in range(1, 25)])
+        blank, end = np.full_like(shown[0], 90), frames if blank_from is None else blank_from
+        pictures = (shown[i % len(shown)] if i < end else blank for i in range(frames))
+        return _filmed(self.folder / "clip.mp4", 25.0, pictures)
 
     @property
     def two_arms(self) -> Path:
@@ -119,49 +121,36 @@ class Inputs:
     def two_hands_acting(self) -> Path:
         """Three minutes of the bundled hand and its mirror image, which are held open and still at first,
         then move to and fro."""
-        return self._written("acting.mp4", _WRITE_ACTING, RENDERED_HAND)
+        small = [cv2.resize(_rendered(number), None, fx=0.5, fy=0.5) for number in range(1, 25)]
+        shown = []
+        for one in small:
+            shown.append(np.full((480, 640, 3), one[0, 0], np.uint8))
+            shown[-1][120 : 120 + len(one)] = np.hstack([one, one[:, ::-1]])
+        shown = _to_and_fro(shown)
+        pictures = (shown[0 if i < 480 else i // 2 % len(shown)] for i in range(2400))
+        return _filmed(self.folder / "acting.mp4", 12.0, pictures)
 
-    def _written(self, name: str, code: str, *arguments: object) -> Path:
-        """A file that Python code writes, to sys.argv[2], where OpenCV is."""
-        python, path = os.environ.get("HANDFIT_PYTHON", sys.executable), self.folder / name
-        source, *others = map(str, arguments)
-        command = [python, "-c", f"import sys, cv2, numpy as np\n{code}", source, str(path), *others]
-        subprocess.run(command, check=True, timeout=120)
-        return path
+
+def _rendered(number: int) -> np.ndarray:
+    """(480, 640, 3) uint8 BGR: a picture of the bundled hand."""
+    return cv2.imread(str(RENDERED_HAND / f"hand.{number:04}.jpg"))
 
 
-_FILM_BOARD = """
-sys.path.insert(0, sys.argv[1])
-from handfit_core.geometry.camera import Intrinsics
-from handfit_core.geometry.lens import Lens
-from tests.films import all_around, film
-lens = Lens(Intrinsics(430.0, 430.0, 320.0, 240.0), (0.0, 0.0, 0.0, 0.0, 0.0), 640, 480)
-film(sys.argv[2], lens, all_around(lens, 20))
-"""
-_WRITE_ACTING = """
-import pathlib
-shown = []
-for path in sorted(pathlib.Path(sys.argv[1]).glob("*.jpg")):
-    one = cv2.resize(cv2.imread(str(path)), None, fx=0.5, fy=0.5)
-    shown.append(np.full((480, 640, 3), one[0, 0], np.uint8))
-    shown[-1][120 : 120 + len(one)] = np.hstack([one, one[:, ::-1]])
-shown += shown[-2:0:-1]
-writer = cv2.VideoWriter(sys.argv[2], cv2.VideoWriter_fourcc(*"mp4v"), 12.0, (640, 480))
-for i in range(2400):
-    writer.write(shown[0 if i < 480 else i // 2 % len(shown)])
-writer.release()
-"""
-_WRITE_CLIP = """
-import pathlib
-folder, output, frames, blank = sys.argv[1:]
-pictures = [cv2.imread(str(p)) for p in sorted(pathlib.Path(folder).glob("*.jpg"))]
-pictures += pictures[-2:0:-1]
-writer = cv2.VideoWriter(output, cv2.VideoWriter_fourcc(*"mp4v"), 25.0, (640, 480))
-for i in range(int(frames)):
-    shown = pictures[i % len(pictures)]
-    writer.write(shown if blank == "None" or i < int(blank) else np.full_like(shown, 90))
-writer.release()
-"""
+def _to_and_fro(pictures: list[np.ndarray]) -> list[np.ndarray]:
+    return pictures + pictures[-2:0:-1]
+
+
+def _written(path: Path, picture: np.ndarray) -> Path:
+    cv2.imwrite(str(path), picture)
+    return path
+
+
+def _filmed(path: Path, rate: float, pictures: Iterable[np.ndarray]) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate, (640, 480))
+    for picture in pictures:
+        writer.write(picture)
+    writer.release()
+    return path
 
 
 def write_robot_hand(path: Path) -> np.ndarray:
@@ -176,28 +165,18 @@ def write_robot_hand(path: Path) -> np.ndarray:
     )
     points[..., :2] -= points[..., :2].mean(axis=1, keepdims=True)
     pixels = camera.project(points)[0]
-    drawn = json.dumps(pixels.round(1).tolist())
-    arguments = [str(path), drawn, json.dumps(KEYPOINT_PARENTS)]
-    subprocess.run([sys.executable, "-c", _DRAW_ROBOT, *arguments], check=True, timeout=60)
+    at = pixels.round().astype(int)
+    paper = np.full((700, 900, 3), (214, 232, 238), np.uint8)
+    palm = cv2.convexHull(at[[0, 1, 5, 9, 13, 17]].astype(np.int32))
+    cv2.fillConvexPoly(paper, palm, (150, 130, 110), cv2.LINE_AA)
+    cv2.polylines(paper, [palm], True, (60, 50, 40), 5, cv2.LINE_AA)
+    for k in range(20, 0, -1):
+        if k % 4 != 1:
+            ends = [at[i].tolist() for i in (KEYPOINT_PARENTS[k], k)]
+            cv2.line(paper, *ends, (60, 50, 40), 36, cv2.LINE_AA)
+            cv2.line(paper, *ends, (190, 165, 140), 26, cv2.LINE_AA)
+    for place in at.tolist():
+        cv2.circle(paper, place, 11, (60, 50, 40), -1, cv2.LINE_AA)
+        cv2.circle(paper, place, 5, (120, 200, 255), -1, cv2.LINE_AA)
+    _written(path, paper)
     return pixels
-
-
-_DRAW_ROBOT = """
-import json, sys
-import cv2, numpy as np
-path, points, parents = sys.argv[1], np.array(json.loads(sys.argv[2])), json.loads(sys.argv[3])
-paper = np.full((700, 900, 3), (214, 232, 238), np.uint8)
-palm = cv2.convexHull(points[[0, 1, 5, 9, 13, 17]].round().astype(np.int32))
-cv2.fillConvexPoly(paper, palm, (150, 130, 110), cv2.LINE_AA)
-cv2.polylines(paper, [palm], True, (60, 50, 40), 5, cv2.LINE_AA)
-for k in range(20, 0, -1):
-    if k % 4 != 1:
-        ends = [tuple(points[i].round().astype(int).tolist()) for i in (parents[k], k)]
-        cv2.line(paper, *ends, (60, 50, 40), 36, cv2.LINE_AA)
-        cv2.line(paper, *ends, (190, 165, 140), 26, cv2.LINE_AA)
-for point in points:
-    at = tuple(point.round().astype(int).tolist())
-    cv2.circle(paper, at, 11, (60, 50, 40), -1, cv2.LINE_AA)
-    cv2.circle(paper, at, 5, (120, 200, 255), -1, cv2.LINE_AA)
-cv2.imwrite(path, paper)
-"""

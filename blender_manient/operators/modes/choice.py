@@ -54,7 +54,7 @@ class FoundHand:
         return float(np.ptp(self.points, axis=0).max())
 
     def is_same_hand(self, other: FoundHand) -> bool:
-        """Whether both are detections of one hand."""
+        """True if both are detections of one hand."""
         apart = np.linalg.norm(self.points - other.points, axis=-1).mean()
         return bool(apart < SAME_HAND_DISTANCE * max(self.extent, other.extent))
 

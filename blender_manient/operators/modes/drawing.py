@@ -47,7 +47,7 @@ _PARTS: Final = {
 
 
 def title(keypoint: int) -> str:
-    """What an artist calls a keypoint: `Index Tip`."""
+    """An artist's name of a keypoint, such as `Index Tip`."""
     if keypoint == 0:
         return "Wrist"
     finger, part = FINGERS[(keypoint - 1) // 4], (keypoint - 1) % 4
@@ -61,7 +61,7 @@ def color(keypoint: int) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What is to be drawn."""
+    """A hand's points in the region, and the line of text above them."""
 
     places: np.ndarray
     """(21, 2) pixels of the region; NaN: not drawn"""
@@ -71,7 +71,7 @@ class Picture:
     text: str
     """A line at the top of the picture"""
     warning: bool
-    """Whether that line is one to worry about"""
+    """True if the line is a warning"""
     corner: tuple[float, float]
     """pixels of the region: where the line begins"""
     hollow: bool = False

@@ -89,7 +89,7 @@ class Button:
     """Whose side it is"""
 
     def holds(self, x: float, y: float) -> bool:
-        """Whether a place in pixels of the region lies on it."""
+        """True if a place in pixels of the region lies on it."""
         return self.box[0] <= x < self.box[2] and self.box[1] <= y < self.box[3]
 
 
@@ -120,7 +120,7 @@ class FindMode(view.Overlay):
         self._finding = self._ask()
         super().__init__(viewport)
 
-    def end(self) -> None:
+    def end(self, _context: bpy.types.Context) -> None:
         """Leave nothing behind. May be called twice."""
         if self.remove():
             self._texture = None
@@ -141,7 +141,7 @@ class FindMode(view.Overlay):
 
     @property
     def busy(self) -> bool:
-        """Whether the worker still searches."""
+        """True if the worker still searches."""
         return bool(self._asked)
 
     def tick(self, context: bpy.types.Context) -> None:
@@ -376,7 +376,3 @@ def row_of(left: Name | None, middle: Name, right: Name | None, free: Box) -> li
     box, gap = found[0].box, 8.0 * scale
     found += [button(left, box[0] - gap - width(left))] if left is not None else []
     return found + ([button(right, box[2] + gap)] if right is not None else [])
-
-
-current: FindMode | None = None
-"""The mode that runs"""

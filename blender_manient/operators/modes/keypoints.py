@@ -57,13 +57,13 @@ file's hand gets, and by the view"""
 
 
 class _Request(NamedTuple):
-    """What the worker was asked of a drag."""
+    """A request to the worker about a drag."""
 
     place: np.ndarray | None
     moved_at: float
     pins: Pins
     final: bool
-    """Whether the result is to be kept, and no draft"""
+    """True if the result is to be kept, and no draft"""
 
 
 @dataclass(eq=False)
@@ -76,9 +76,9 @@ class _Drag:
     """Scene frame"""
     pins_before: Pins
     start: BonePoses
-    """What the pins are measured against"""
+    """The poses that the fit to the pins starts from"""
     poses_before: BonePoses
-    """What the bones are put back to when it is cancelled"""
+    """The poses that the bones get back when the drag is cancelled"""
     mouse: np.ndarray | None = None
     """(2,) pixels of the region: where it was pressed; None: nowhere, the pin goes"""
     grip: np.ndarray | float = 0.0
@@ -94,7 +94,7 @@ class _Drag:
     answer: tuple[Pins, BonePoses] | None = None
     """The newest answer, and the pins that it was fitted to"""
     drawn: bool = True
-    """Whether the view was asked to show the newest place"""
+    """True if the view was asked to show the newest place"""
 
     @property
     def waiting(self) -> bool:
@@ -111,7 +111,7 @@ class _Drag:
 
     @property
     def needs_request(self) -> bool:
-        """Whether no request has the newest place yet."""
+        """True if no request has the newest place yet."""
         asked = self.asked
         return asked is None or asked.place is not self.place or (self.released and not asked.final)
 
@@ -495,7 +495,7 @@ class KeypointMode(view.Overlay):
         self._redraw()
 
     def _is_constrained(self, drag: _Drag) -> bool:
-        """Whether the frame's hand has pins, or points that touch."""
+        """True if the frame's hand has pins, or points that touch."""
         return bool(drag.pins or self.refiner.touches(drag.row))
 
     def _finish(self, context: bpy.types.Context, drag: _Drag) -> None:

@@ -43,11 +43,11 @@ class Viewport:
 
     @property
     def view(self) -> bpy.types.RegionView3D:
-        """What the region shows."""
+        """Blender's own data of the region's view."""
         return self.space.region_3d
 
     def contains(self, x: int, y: int) -> bool:
-        """Whether a place in window pixels lies in the view, and not in what overlaps it."""
+        """True if a place in window pixels lies in the view, and not in what overlaps it."""
 
         def inside(region: bpy.types.Region) -> bool:
             shown = min(region.width, region.height) > 1
@@ -139,7 +139,7 @@ def free_corner(viewport: Viewport) -> tuple[float, float]:
 
 
 class Overlay:
-    """What is drawn over one viewport until `remove`."""
+    """Draws over one viewport until `remove`."""
 
     def __init__(self, viewport: Viewport) -> None:
         self.address = viewport.area.as_pointer()
@@ -232,7 +232,7 @@ class CaptureView:
         return self._cameras.index(name) if name in self._cameras else None
 
     def shows(self, viewport: Viewport) -> bool:
-        """Whether the viewport looks through one of the cameras now."""
+        """True if the viewport looks through one of the cameras now."""
         return self.looks(viewport) is not None
 
     def follow(self, viewport: Viewport) -> bool:

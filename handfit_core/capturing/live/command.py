@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from handfit_core.capturing.options import OPTIONS, CaptureOptions, add_options, add_progress
+from handfit_core.capturing.options import CaptureOptions, LiveOptions, add_options, add_progress
 from handfit_core.capturing.pipeline import capture_to_file
 from handfit_core.common.errors import HandfitError, InputError, OptionError, OutputError
 from handfit_core.common.files import check_writable, path_of, shown, written_whole
@@ -40,20 +40,7 @@ def add_live_command(commands: Any) -> argparse.ArgumentParser:
         help="record beside it (TAKE.mkv), and capture that to this take at the end",
     )
     live.add_argument("--seconds", type=float, metavar="S", help="how long (default: until Ctrl+C)")
-    live.add_argument("--online", action="store_true", help="addresses of other machines may be opened")
-    live.add_argument(
-        "--size", default="640x480", metavar="WIDTHxHEIGHT", help="of a camera (default: 640x480)"
-    )
-    live.add_argument("--rate", type=float, default=30.0, metavar="FPS", help="of a camera (default: 30)")
-    live.add_argument(
-        "--min-cutoff",
-        type=float,
-        metavar="HZ",
-        help="smoothing of still hands: lower is smoother, and lags (default: 2)",
-    )
-    live.add_argument(
-        "--beta", type=float, metavar="B", help="how fast smoothing gives way to motion (default: 1)"
-    )
+    add_options(live, ("online", "size", "fps", "min_cutoff", "beta"), LiveOptions)
     live.add_argument("--preview", type=path_of, metavar="PICTURE.jpg", help="keep the newest picture, drawn")
     live.add_argument("--mirror", action="store_true", help="mirror the preview, and nothing else")
     add_progress(live)
@@ -65,15 +52,10 @@ def add_live_command(commands: Any) -> argparse.ArgumentParser:
 
 
 def _live(args: argparse.Namespace) -> int:
-    from handfit_core.capturing.live.streaming import (  # slow to load, with all that fits hands
-        Live,
-        LiveOptions,
-    )
+    from handfit_core.capturing.live.streaming import Live  # slow to load, with all that fits hands
 
     capture = CaptureOptions.of_arguments(args)
-    given = {name: getattr(args, name) for name in ("min_cutoff", "beta") if getattr(args, name) is not None}
-    size = OPTIONS["picture_size"].read(args.size)
-    options = LiveOptions(capture, args.online, size, args.rate, **given)
+    options = LiveOptions.of_arguments(args, capture=capture)
     if args.seconds is not None and not 0.0 < args.seconds < math.inf:
         raise OptionError(f"--seconds must be above 0, not {args.seconds:g}")
     output, recording = args.output, None

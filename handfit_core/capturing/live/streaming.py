@@ -9,18 +9,16 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from concurrent.futures import Future
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final, Literal, Self
 
 import numpy as np
 
-from handfit_core.capturing.options import CaptureOptions
-from handfit_core.common.errors import OptionError
+from handfit_core.capturing.options import LiveOptions
 from handfit_core.common.skeleton import KEYPOINT_PARENTS, SIDES, Side
-from handfit_core.common.values import Unfit, listed, number
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.keypoints import Detections
@@ -92,48 +90,6 @@ class LiveSettings:
 
 
 LIVE: Final = LiveSettings()
-
-
-@dataclass(frozen=True)
-class LiveOptions:
-    """What a live run can be told. Raises OptionError for numbers that are none."""
-
-    capture: CaptureOptions = field(default_factory=CaptureOptions)
-    """`hands`, `hand_length`, `model`, `intrinsics`, `lens`, `threshold` and `landmark_model` count"""
-    online: bool = False
-    """Whether addresses of other machines may be opened"""
-    size: tuple[int, int] = (640, 480)
-    """pixels, that a camera is asked for"""
-    fps: float = 30.0
-    """frames per second, that a camera is asked for"""
-    loop: bool = False
-    """Whether a file begins again at its end"""
-    min_cutoff: float = 2.0
-    """Hz, of the filter of a hand that is still: lower shakes less, and lags more"""
-    beta: float = 1.0
-    """Hz by which that grows for each radian a second that something turns or travels in the view: higher
-    lags less in fast motion"""
-
-    def __post_init__(self) -> None:
-        limits = {"fps": (1.0, 1000.0), "min_cutoff": (0.01, 1000.0), "beta": (0.0, 1000.0)}
-        try:
-            for name, (least, most) in limits.items():
-                number(f"{name} of a live run", getattr(self, name), least, most)
-            if len(listed("size of a live run", self.size, partial(number, least=16, most=8192))) != 2:
-                raise Unfit(f"size of a live run must be a width and a height, not {self.size!r}")
-        except Unfit as error:
-            raise OptionError(str(error)) from error
-
-    @classmethod
-    def of_message(cls, options: Mapping[str, Any], live: Mapping[str, Any]) -> Self:
-        """The options of a request to the worker. Raises OptionError."""
-        known = {each.name for each in fields(cls)} - {"capture"}
-        for name in live:
-            if name not in known:
-                raise OptionError(
-                    f"there is no option {name!r} of a live run; choose from {', '.join(known)}"
-                )
-        return cls(CaptureOptions.of_message(options), **live)
 
 
 @dataclass(frozen=True, eq=False)

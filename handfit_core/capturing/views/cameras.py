@@ -118,7 +118,7 @@ class JointProblem(Problem):
     """The problems of several hands, whose shape and cameras are one. Its own fields are the first hand's."""
 
     parts: tuple[Problem, ...] = ()
-    fixed: np.ndarray | None = None
+    fixed_variables: np.ndarray | None = None
     """(26,) bool, of a hand's own variables and the cameras'"""
 
     def split(self, state: State) -> list[State]:
@@ -130,9 +130,9 @@ class JointProblem(Problem):
 
     def blocks(self, state: State) -> Blocks:
         """Cost and Gauss-Newton matrices of all hands and the cameras, as `Problem.blocks` gives them."""
-        assert self.fixed is not None
+        assert self.fixed_variables is not None
         found = [part.blocks(of_part) for part, of_part in zip(self.parts, self.split(state), strict=True)]
-        of_hand = np.broadcast_to(self.fixed, (len(state), len(self.fixed)))
+        of_hand = np.broadcast_to(self.fixed_variables, (len(state), len(self.fixed_variables)))
         return Blocks.concatenate(found).with_fixed(of_hand, np.zeros((len(state), 5, 9), dtype=bool))
 
     def clip_to_bounds(self, state: State, of_fingers: np.ndarray) -> np.ndarray:
@@ -182,12 +182,14 @@ def adjust(
     fixed[HAND_SIZE:][OFFSET] = priors.offset_sigma == 0.0
     if priors.rotation is not None:
         fixed[HAND_SIZE:][TURN] = fixed[HAND_SIZE:][SHIFT] = True
-    whole = JointProblem(parts[0].chain, parts[0].seen, parts[0].terms, "one", parts=parts, fixed=fixed)
+    whole = JointProblem(
+        parts[0].chain, parts[0].seen, parts[0].terms, "one", parts=parts, fixed_variables=fixed
+    )
     if start is None:
         # The shape waits until the cameras stand about where they should.
         rigid = fixed.copy()
         rigid[BETAS] = True
-        first = replace(whole, fixed=rigid)
+        first = replace(whole, fixed_variables=rigid)
         filmed = solve(first, filmed, max_iterations=VIEWS.start_iterations, tolerance=VIEWS.tolerance).state
     solution = solve(whole, filmed, max_iterations=iterations, tolerance=VIEWS.tolerance)
     return _result(whole, solution, here)

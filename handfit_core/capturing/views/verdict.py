@@ -1,4 +1,4 @@
-"""Whether two views belong together, in words for an artist."""
+"""How well two views belong together, in words for an artist."""
 
 from __future__ import annotations
 

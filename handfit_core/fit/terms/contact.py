@@ -19,8 +19,7 @@ _PAIRS: Final = np.array([int(np.flatnonzero((tips == PAIRS).all(axis=1))[0]) fo
 class Contact:
     """One row for each pair of `seen.self_contact.pinch`: the gap g between their skins, with Geman and
     McClure's kernel, s / (1 + s (touch_sigma / robust_scale)^2) of s = (g / touch_sigma)^2. One row for each
-    of
-    `seen.touches`: g / user_touch_sigma."""
+    of `seen.touches`: g / user_touch_sigma."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
@@ -41,9 +40,7 @@ class Contact:
             points = np.stack([point, seen.touches[hand, point].astype(int)], axis=1)
             near = self.surface.gaps_at(capsules, hand, points)
             found.append(_rows(posed, near, TERMS.user_touch_sigma, np.ones(len(hand)), np.ones(len(hand))))
-        return PairRows(
-            *(np.concatenate([getattr(r, n) for r in found]) for n in PairRows.__dataclass_fields__)
-        )
+        return PairRows.concatenate(found)
 
 
 def _rows(posed: Posed, near: Near, sigma: float, weight: np.ndarray, excess: np.ndarray) -> PairRows:

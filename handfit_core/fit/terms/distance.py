@@ -1,4 +1,4 @@
-"""Deviation of the wrist's distance from the camera from one that is to be kept."""
+"""Deviation of the wrist's distance from the camera from that of the anchor."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from handfit_core.hand_model.chain import PLACE, Posed
 
 
 def distance(posed: Posed, seen: Observation) -> Rows:
-    """One row: r = (w . s / |s|^2 - 1) / sigma, with s where `seen.kept`, which must be there, has the wrist.
+    """One row: r = (w . s / |s|^2 - 1) / sigma, with the anchor s of the wrist in `seen.anchor`.
 
     Along the line of sight only; across it the wrist is free.
     """
-    assert seen.kept is not None
-    start, sigma = seen.kept.wrist, seen.kept.distance_sigma
+    assert seen.anchor is not None
+    start, sigma = seen.anchor.wrist, seen.anchor.distance_sigma
     slope = start / (np.square(start).sum(axis=1) * sigma)[:, None]
     rows = Rows.zeros(HAND, len(start), 1)
     rows.jacobian[:, 0, 0, PLACE] = slope

@@ -75,7 +75,7 @@ class CameraPrior:
 
 @dataclass(frozen=True, eq=False)
 class Filmed(Batch):
-    """What one camera sees of B hands."""
+    """The landmarks of B hands that one camera sees."""
 
     pixels: np.ndarray
     """(B, 21, 2)"""

@@ -22,7 +22,7 @@ class Interpenetration:
         """The rows of those of B posed hands whose parts overlap."""
         near = self.surface.near(self.surface.capsules(posed), within=-TERMS.compression)
         # The places are the nearest ones: to first order the gap does not change as they move on.
-        corrected = seen.kept is not None and np.isfinite(seen.kept.limits_sigma)[near.hand]
+        corrected = seen.anchor is not None and np.isfinite(seen.anchor.limits_sigma)[near.hand]
         sigma = np.where(corrected, TERMS.edit_penetration_sigma, TERMS.penetration_sigma)
         slope = between(posed, near.hand, near.bones, near.places, -near.towards / sigma[..., None])
         residual = -(near.gap + TERMS.compression) / sigma

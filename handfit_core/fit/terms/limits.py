@@ -37,16 +37,16 @@ class Limits:
 
     @property
     def angle_bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """(5, 9) and (5, 9) radians between which a solver's steps stay, where no pose is kept."""
+        """(5, 9) and (5, 9) radians between which a solver's steps stay, without an anchor."""
         return self.lower - TERMS.step_margin, self.upper + CLOSED_HAND_MARGIN + TERMS.step_margin
 
     def __call__(self, posed: Posed, seen: Observation) -> Rows:
         """The rows of B posed hands."""
-        kept, sigma, below, above = seen.kept, TERMS.limits_sigma, np.zeros(1), CLOSED_HAND_MARGIN
-        if kept is not None:
-            own = np.isnan(kept.limits_sigma)[:, None, None]
-            sigma = np.where(own, TERMS.limits_sigma, kept.limits_sigma[:, None, None])
-            more = np.maximum(np.abs(self._outside(kept.angles, below, below)), TERMS.passive_range)
+        anchor, sigma, below, above = seen.anchor, TERMS.limits_sigma, np.zeros(1), CLOSED_HAND_MARGIN
+        if anchor is not None:
+            own = np.isnan(anchor.limits_sigma)[:, None, None]
+            sigma = np.where(own, TERMS.limits_sigma, anchor.limits_sigma[:, None, None])
+            more = np.maximum(np.abs(self._outside(anchor.angles, below, below)), TERMS.passive_range)
             below, above = (
                 np.where(own, below, more),
                 np.where(own, above, np.maximum(more, CLOSED_HAND_MARGIN)),

@@ -1,4 +1,4 @@
-"""Deviation of a finger's angles from a pose that is to be kept."""
+"""Deviation of a finger's angles from the pose that the hand is anchored to."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from handfit_core.hand_model.chain import Posed
 
 
 def near_pose(posed: Posed, seen: Observation) -> Rows:
-    """Nine rows for each finger: r = (a - kept) / sigma, the difference taken the shorter way round.
+    """Nine rows for each finger: r = (a - anchor) / sigma, the difference taken the shorter way round.
 
-    `seen.kept` must be there.
+    `seen.anchor` must be there.
     """
-    assert seen.kept is not None
+    assert seen.anchor is not None
     angles = posed.state.angles
-    weight = 1.0 / seen.kept.angle_sigma[..., None]
+    weight = 1.0 / seen.anchor.angle_sigma[..., None]
     rows = Rows.zeros(FINGERS, len(angles), 9)
     np.einsum("...ii->...i", rows.jacobian)[...] = weight
-    rows.residual[...] = (np.remainder(angles - seen.kept.angles + np.pi, 2.0 * np.pi) - np.pi) * weight
+    rows.residual[...] = (np.remainder(angles - seen.anchor.angles + np.pi, 2.0 * np.pi) - np.pi) * weight
     return rows

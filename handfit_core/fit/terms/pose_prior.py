@@ -13,8 +13,7 @@ from handfit_core.hand_model.chain import Posed
 
 class PosePrior:
     """Nine rows for each finger: W (a - mean), whose squares are the Mahalanobis distance, times
-    `pose_weight`, or
-    `pinned_pose_weight`."""
+    `pose_weight`, or `pinned_pose_weight`."""
 
     def __init__(self, mean: np.ndarray, covariance: np.ndarray, side: Side = "right") -> None:
         """mean (5, 9) radians and covariance (5, 9, 9) of right hands' angles."""
@@ -28,8 +27,8 @@ class PosePrior:
         """The rows of B posed hands."""
         angles = posed.state.angles
         pinned = np.zeros(len(angles), dtype=bool) if seen.pinned is None else seen.pinned.any(axis=1)
-        if seen.kept is not None:
-            pinned = pinned | np.isfinite(seen.kept.limits_sigma)  # a finger that goes for its pin alone
+        if seen.anchor is not None:
+            pinned = pinned | np.isfinite(seen.anchor.limits_sigma)  # a finger that goes for its pin alone
         whiten = (
             np.sqrt(np.where(pinned, TERMS.pinned_pose_weight, TERMS.pose_weight))[:, None, None, None]
             * self._whiten

@@ -1,4 +1,4 @@
-"""What terms give to the solver: residuals with their derivatives, and the kernel that weights them."""
+"""The results of terms: residuals with their derivatives, and the kernel that weights them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from handfit_core.common.batch import Batch
 from handfit_core.fit.observation import Observation
 from handfit_core.hand_model.chain import HAND_SIZE, Posed
 from handfit_core.hand_model.surface import FINGER_OF_BONE, LEVEL_OF_BONE, cross
@@ -70,7 +71,7 @@ class Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class PairRows:
+class PairRows(Batch):
     """K residuals between two parts of a hand, in sigmas. There are few, of some hands only."""
 
     hand: np.ndarray

@@ -38,7 +38,6 @@ from handfit_core.interchange.skeletons import (
     no_hand,
 )
 from handfit_core.interchange.writers import Writer
-from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.transfer import SourceHand
 from handfit_core.take import TAKE_LIMITS, Take
@@ -88,13 +87,10 @@ def _read(document: Document, asked: ReadOptions) -> Recording:
             f"no angle exceeds {largest:.2g}: BVH has degrees; if these are radians, write them as degrees"
         )
     told = 1.0 / seconds if seconds > 0.0 else 0.0
-    fps = told if TAKE_LIMITS.min_fps <= told <= TAKE_LIMITS.max_fps else DEFAULT_FPS
-    if fps != told and asked.fps is None:
-        assumed.append(f"{DEFAULT_FPS:g} frames per second, as its frame time is {seconds:g}")
     return Recording(
         "bvh",
         (str(document.path.absolute()),),
-        asked.fps or fps,
+        told if TAKE_LIMITS.min_fps <= told <= TAKE_LIMITS.max_fps else 0.0,
         np.arange(1, len(numbers) + 1),
         posed=tuple(hand.posed for hand in hands),
         assumed=tuple(assumed),
@@ -142,9 +138,8 @@ def _parsed(document: Document) -> tuple[_Skeleton, np.ndarray, float]:
 
 
 def _hierarchy(words: Iterator[str]) -> _Skeleton:
-    """What stands before MOTION. Raises Unfit."""
+    """The bones, from the words before MOTION. Raises Unfit."""
     skeleton, open_bones = _Skeleton(), []
-    taken: dict[str, int] = {}
     try:
         if next(words).upper() != "HIERARCHY":
             raise Unfit("it does not begin with HIERARCHY")
@@ -160,7 +155,8 @@ def _hierarchy(words: Iterator[str]) -> _Skeleton:
                             f"it has more than {LIMITS.bvh_bones} bones, or one without a name of its own"
                         )
                     open_bones.append(len(skeleton.names))
-                    skeleton.names.append(_unlike(name, taken))
+                    taken = name in skeleton.names
+                    skeleton.names.append(f"{name}'{len(skeleton.names)}" if taken else name)
                     skeleton.parents.append(parent)
                     skeleton.offsets.append([0.0] * 3)
                     skeleton.channels.append([])
@@ -186,16 +182,6 @@ def _hierarchy(words: Iterator[str]) -> _Skeleton:
     if open_bones or not skeleton.names or not (np.abs(np.array(skeleton.offsets)) <= LARGEST).all():
         raise Unfit("it has a HIERARCHY that is damaged or cut off")
     return skeleton
-
-
-def _unlike(called: str, taken: dict[str, int]) -> str:
-    """That name, with a number where another bone has it; it is added to those that are `taken`."""
-    name = called
-    while name in taken:
-        taken[called] += 1
-        name = f"{called}'{taken[called]}"
-    taken[name] = 1
-    return name
 
 
 def _posed(skeleton: _Skeleton, numbers: np.ndarray) -> tuple[AnimatedBones, float]:

@@ -63,19 +63,19 @@ def _recognises(document: Document) -> bool:
     )
 
 
-def _posed(places: np.ndarray, quats: np.ndarray, model: HandModel) -> tuple[HandMotion, str]:
-    """The pose of joints in metres (T, 21, 3), y up, and quaternions (T, 21, 4); NaN: not tracked.
+def _posed(joints_told: np.ndarray, model: HandModel, said: list[str]) -> HandMotion:
+    """The pose of joints (T, 21, 7), metres, y up, and quaternions; NaN: not tracked. Raises ValueError.
 
     Directions and twists of fingers are the joints' own; how the hand is turned is told by where its knuckles
     and its wrist are, as wrists' axes differ between makers.
     """
-    there = np.isfinite(np.concatenate([places, quats], axis=-1)[:, _POINTS]).all(axis=(1, 2))
+    hand, there = f"the {model.side} hand", np.isfinite(joints_told[:, _POINTS]).all(axis=(1, 2))
     if not there.any():
-        raise ValueError("lacks joints, or their orientations, in every frame")
-    places, quats = places[there], quats[there]
+        raise ValueError(f"{hand} lacks joints, or their orientations, in every frame")
+    places, quats = joints_told[there, :, :3], joints_told[there, :, 3:]
     if np.linalg.norm(quats[:, _POINTS], axis=-1).min() < 0.5:
-        raise ValueError("has quaternions that are no rotations")
-    frames, said = _frames_of(places, quats)
+        raise ValueError(f"{hand} has quaternions that are no rotations")
+    frames = _frames_of(places, quats, hand, said)
     flat = REST_FROM_MODEL.T @ bone_frames(model.shaped(), model.side)
     flat = np.stack([-flat[..., 0], -flat[..., 2], -flat[..., 1]], axis=-1)
     up, joints = UP_AXES["y"], model.shaped().joints
@@ -92,17 +92,17 @@ def _posed(places: np.ndarray, quats: np.ndarray, model: HandModel) -> tuple[Han
         transl[row] = up @ middle - whole[row, 0] @ (joints[palm].mean(axis=0) - joints[0]) - joints[0]
     if not 0.5 < np.median(sizes) / size < 2.0:
         raise ValueError(
-            f"is {np.median(sizes):.3g} long from wrist to knuckle; expected metres, some {size:.2g}"
+            f"{hand} is {np.median(sizes):.3g} long from wrist to knuckle; expected metres, some {size:.2g}"
         )
     whole[:, 1:] = up @ frames[:, _POINTS[1:]] @ np.swapaxes(flat[1:], -1, -2)
     local = np.swapaxes(whole[:, PARENTS[1:]], -1, -2) @ whole[:, 1:]
     pose = rotmat_to_rotvec(local).reshape(len(places), -1)
-    moved = (scatter(part, there, len(there)) for part in (rotmat_to_rotvec(whole[:, 0]), pose, transl))
-    return HandMotion(model.side, np.zeros(NUM_BETAS), *moved), said
+    moved = (scatter(part, there, len(joints_told)) for part in (rotmat_to_rotvec(whole[:, 0]), pose, transl))
+    return HandMotion(model.side, np.zeros(NUM_BETAS), *moved)
 
 
-def _frames_of(places: np.ndarray, quats: np.ndarray) -> tuple[np.ndarray, str]:
-    """(T, 21, 3, 3) joints' axes, and what is said of quaternions that have w first: in the right order, -Z
+def _frames_of(places: np.ndarray, quats: np.ndarray, hand: str, said: list[str]) -> np.ndarray:
+    """(T, 21, 3, 3) joints' axes, by quaternions in the order, of the usual one and w first, in which -Z
     points to the next joint. Raises ValueError where it does in none."""
     starts = np.setdiff1d(_POINTS[1:], [_POINTS[chain[2]] for chain in FINGER_JOINTS.values()])
     steps = places[:, starts + 1] - places[:, starts]
@@ -114,12 +114,12 @@ def _frames_of(places: np.ndarray, quats: np.ndarray) -> tuple[np.ndarray, str]:
     if max(fits) < 0.8:
         angle = np.degrees(np.arccos(np.clip(max(fits), -1.0, 1.0)))
         raise ValueError(
-            f"has joints whose -Z points {angle:.0f} degrees past the next joint; expected OpenXR's or "
-            "WebXR's axes and quaternions x, y, z, w"
+            f"{hand} has joints whose -Z points {angle:.0f} degrees past the next joint; expected OpenXR's "
+            "or WebXR's axes and quaternions x, y, z, w"
         )
     if fits[1] > fits[0]:
-        return frames[1], "its quaternions are in the order w, x, y, z, as only so joints point to the next"
-    return frames[0], ""
+        said.append("its quaternions are in the order w, x, y, z, as only so joints point to the next")
+    return frames[int(fits[1] > fits[0])]
 
 
 HAND_TRACKING: Final = PointLayout(

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from itertools import islice
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +16,6 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.interchange.document import Document, Table
 from handfit_core.interchange.frames import (
     Frames,
-    arrays_of,
     frames_of_arrays,
     in_order,
     objects_in,
@@ -133,7 +130,7 @@ ARIA: Final = PointLayout(
     "Aria",
     "the glasses' hand_tracking_results.csv",
     "https://facebookresearch.github.io/projectaria_tools/docs/data_formats/mps/hand_tracking",
-    table=lambda table: {"tracking_timestamp_us", "tx_left_landmark_0_device"} <= set(table.columns),
+    marks=("tracking_timestamp_us tx_left_landmark_0_device",),
     order="aria",
     persons="one",
     units={"metres": 1.0},
@@ -149,8 +146,7 @@ XR_POINTS: Final = PointLayout(
     "A headset's joints",
     "places of joints by OpenXR's, MRTK's or visionOS' names",
     "https://registry.khronos.org/OpenXR/specs/1.1/man/html/XrHandJointEXT.html",
-    table=lambda table: is_hand_table(table) and _names_xr(table.columns),
-    recognises=lambda document: any(map(_names_xr_hand, map(objects_in, some_contents(document)))),
+    names=lambda names: sum(short(name).removesuffix("x") in XR_NAMES for name in names) >= 8,
     columns="xyz",
     order="mediapipe",
     persons="one",
@@ -175,30 +171,37 @@ TRC: Final = PointLayout(
     assumes="y up; the unit, by the palm",
 )
 
+
+def _in_space(table: Table, *, sided: bool) -> bool:
+    """True if columns name points, with their sides or without, and hold lengths in space rather than pixels
+    or parts of a picture."""
+    columns = None if table.is_trc else columns_of(table)
+    if columns is None or any((column.side is not None) != sided or column.world for column in columns):
+        return False
+    wrist = {
+        axis: [table.columns[c.index] for c in columns if c.axis == axis and c.point == 0] for axis in "xyz"
+    }
+    if not all(wrist.values()):
+        return False
+    across, depth = (np.abs(table.numbers(wrist[axis])) for axis in "xz")
+    if not np.isfinite(depth).any() or not np.isfinite(across).any():
+        return False
+    # The depth of MediaPipe's wrist is zero, as the others' count from it.
+    return bool(np.nanmedian(depth) > 0.01 and np.nanmax(across) > 3.0)
+
+
 ARRAYS: Final = PointLayout(
     "arrays",
     "Points in an array",
-    "a .npy, .npz or table of numbers: frames by points by x, y (z)",
+    "a .npy, .npz, pickle or table: frames by points by x, y (z)",
     "docs/interchange.md",
-    recognises=lambda document: bool(arrays_of(document)),
+    table=lambda table: _in_space(table, sided=False),
+    recognises=lambda document: bool(points_among(document.arrays)),
     units={"metres": 1.0, "millimetres": 1e-3, "centimetres": 1e-2},
     up="camera",
+    met="handmocap's .npy, dex-retargeting's pickle (2026-11)",
     assumes="the camera's axes; the unit, by the palm",
 )
-
-
-def _names_xr(names: Iterable[str]) -> bool:
-    """True if most joints are called as headsets call them."""
-    return sum(short(name).removesuffix("x") in XR_NAMES for name in names) >= 8
-
-
-def _names_xr_hand(objects: Iterable[Mapping[str, Any]]) -> bool:
-    return any(_names_xr(islice(each, 100)) for each in objects)
-
-
-def _names_apples(rows: Iterable[Iterable[str]]) -> bool:
-    """Whether cells or keys of objects are Vision's names."""
-    return any(is_apple(name) for names in rows for name in islice(names, 200))
 
 
 APPLE_VISION: Final = PointLayout(
@@ -206,8 +209,7 @@ APPLE_VISION: Final = PointLayout(
     "Apple Vision",
     "JSON or CSV with its names (VNHLKITIP, indexTip)",
     "https://developer.apple.com/documentation/vision/vnhumanhandposeobservation",
-    table=lambda table: is_hand_table(table) and _names_apples((table.columns, *table.rows[:50])),
-    recognises=lambda document: any(map(_names_apples, map(objects_in, some_contents(document)))),
+    names=lambda names: any(map(is_apple, names)),
     columns="xy xyc xyzc",
     order="mediapipe",
     assumes="parts of the picture from below, or pixels",
@@ -245,39 +247,11 @@ MEDIAPIPE: Final = PointLayout(
 _HAND_FILE: Final = re.compile(r"(?:.*_)?(left|right)_hand_(?:3d_xyz|frame_name_xyz)\.npy")
 
 
-def _of_arrays(document: Document) -> Frames | None:
-    """The frames of a folder's hands, or of those in its output_data."""
-    for folder in (document, Document(document.path / "output_data")):
-        found = _hand_files(folder)
-        if found and document.is_folder:
-            arrays = {
-                name: array for name, file in found.items() if (array := Document(file).npy) is not None
-            }
-            return frames_of_arrays(document, points_among(arrays), 0)
-    return None
-
-
-def _hand_files(document: Document) -> dict[str, Path]:
-    """A folder's arrays of hands, or the file itself if it is one, by their names."""
-    files = document.files(".npy") if document.is_folder else [document.path]
-    return {file.name: file for file in files if _HAND_FILE.fullmatch(file.name.lower())}
-
-
-def _in_space(table: Table) -> bool:
-    """Whether columns name both points and sides, and hold lengths rather than parts of a picture."""
-    columns = None if table.is_trc else columns_of(table)
-    if columns is None or any(column.side is None or column.world for column in columns):
-        return False
-    wrist = {
-        axis: [table.columns[c.index] for c in columns if c.axis == axis and c.point == 0] for axis in "xyz"
-    }
-    if not all(wrist.values()):
-        return False
-    across, depth = (np.abs(table.numbers(wrist[axis])) for axis in "xz")
-    if not np.isfinite(depth).any() or not np.isfinite(across).any():
-        return False
-    # The depth of MediaPipe's wrist is zero, as the others' count from it.
-    return bool(np.nanmedian(depth) > 0.01 and np.nanmax(across) > 3.0)
+def _hand_arrays(document: Document) -> dict[str, np.ndarray | None]:
+    """The arrays of hands in a folder, or in its output_data, by their files' names."""
+    folders = document, Document(document.path / "output_data")
+    files = [file for folder in folders for file in folder.files(".npy")]
+    return {file.name: Document(file).npy for file in files if _HAND_FILE.fullmatch(file.name.lower())}
 
 
 FREEMOCAP: Final = PointLayout(
@@ -285,12 +259,13 @@ FREEMOCAP: Final = PointLayout(
     "FreeMoCap",
     "output_data, its arrays or its tables, of versions 1 and 2",
     "https://github.com/freemocap/freemocap/tree/main/freemocap/system/paths_and_filenames",
-    table=lambda table: {"keypoint", "trajectory"} <= set(table.columns) or _in_space(table),
+    marks=("keypoint trajectory",),
+    table=lambda table: _in_space(table, sided=True),
     recognises=lambda document: (
-        bool(_hand_files(document) or _hand_files(Document(document.path / "output_data")))
+        bool(_HAND_FILE.fullmatch(document.path.name.lower()) or _hand_arrays(document))
         or (document.npy is not None and document.npy.shape[1:] == (553, 3))
     ),
-    read=_of_arrays,
+    read=lambda document: frames_of_arrays(document, _hand_arrays(document), 0),
     order="mediapipe",
     units={"millimetres": 1e-3, "centimetres": 1e-2, "metres": 1.0},
     up="z",
@@ -413,10 +388,7 @@ POINTS_TABLE: Final = PointLayout(
     "Points as a table",
     "our CSV",
     "docs/interchange.md",
-    table=lambda table: any(
-        {"frame", "side", "point", *axes.split()} <= set(table.columns)
-        for axes in ("x_px y_px", "x_m y_m z_m")
-    ),
+    marks=("frame side point x_px y_px", "frame side point x_m y_m z_m"),
     order="mediapipe",
     persons="one",
     met="ours",

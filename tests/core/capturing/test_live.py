@@ -48,6 +48,7 @@ from handfit_core.take import Take
 from handfit_core.worker.client import Worker
 from scripts.measure_live import pictures, stamp_of, stamped
 from tests.conftest import ROOT
+from tests.waiting import pid_of, stopping, wait_for
 
 PATTERN = str(ROOT / "samples" / "rendered_hand" / "hand.%04d.jpg")
 CLIP = f"file:{PATTERN}"
@@ -535,7 +536,7 @@ def test_recordings_replace_nothing(tmp_path):
 
 @pytest.fixture(scope="module")
 def worker() -> Iterator[Worker]:
-    with Worker(threads=1) as made:
+    with stopping(Worker(threads=1)) as made:
         yield made
 
 
@@ -543,7 +544,7 @@ def until(worker: Worker, request: int, kind: str) -> dict[str, Any]:
     """The next event of that kind."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
-        for event in worker.events(request, wait=0.1):
+        for event in worker.events(request):
             if event["event"] in (kind, "error"):
                 assert event["event"] == kind, event
                 return event
@@ -567,10 +568,10 @@ def test_worker_follows_records_and_answers_others_afterwards(worker, station, t
     worker.tell(request, "live-record", output=None)
     recorded = until(worker, request, "recorded")
     worker.cancel(request)
-    done = worker.wait(request, timeout=PATIENCE)
+    done = wait_for(worker, request, timeout=PATIENCE)
     assert (recorded["output"], done["recording"]) == (path, None)
     assert done["frames"] >= done["shown"] > 0
-    probed = worker.wait(worker.submit("probe", input=[path]), timeout=PATIENCE)["frames"]
+    probed = wait_for(worker, worker.submit("probe", input=[path]), timeout=PATIENCE)["frames"]
     assert probed == pytest.approx(1.0 + recorded["seconds"] * recorded["fps"], abs=1.0)
 
 
@@ -580,12 +581,12 @@ def test_newest_pose_alone_waits_to_be_taken(worker, station):
     first = until(worker, request, "live")
     for _ in range(20):
         time.sleep(0.05)
-        worker._collect(0.0)
+        worker._collect()
     events = [event for event in worker.events(request) if event["event"] == "live"]
     assert len(events) <= 1
     assert all(event["sequence"] > first["sequence"] for event in events)
     worker.cancel(request)
-    worker.wait(request, timeout=PATIENCE)
+    wait_for(worker, request, timeout=PATIENCE)
 
 
 @pytest.mark.parametrize(
@@ -599,7 +600,7 @@ def test_newest_pose_alone_waits_to_be_taken(worker, station):
 )
 def test_worker_says_what_is_wrong(worker, fields):
     with pytest.raises(HandfitError) as raised:
-        worker.wait(worker.submit("live", **fields), timeout=PATIENCE)
+        wait_for(worker, worker.submit("live", **fields), timeout=PATIENCE)
     assert type(raised.value) in (OptionError, InputError)
 
 
@@ -607,8 +608,8 @@ def test_no_process_stays_when_its_client_is_gone(station):
     """Also one that waits for a camera that is silent."""
     worker = Worker(threads=1)
     worker.submit("live", source=station.address, options={}, live={})
-    waited(lambda: worker.events(wait=0.0) or worker.ready)
-    pid = worker.pid
+    waited(lambda: worker.events() or worker.ready)
+    pid = pid_of(worker)
     worker.stop(10.0)
     waited(lambda: not Path(f"/proc/{pid}").exists())
 

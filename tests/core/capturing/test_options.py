@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,14 @@ import pytest
 
 from handfit_core import Intrinsics, capture
 from handfit_core.__main__ import _all_parsers, _parser
-from handfit_core.capturing.options import OPTIONS, VIEW_OPTIONS, CaptureOptions, Option, add_options
+from handfit_core.capturing.options import (
+    OPTIONS,
+    VIEW_OPTIONS,
+    CaptureOptions,
+    LiveOptions,
+    Option,
+    add_options,
+)
 from handfit_core.common.errors import OptionError
 from handfit_core.detect.detector import Region
 from handfit_core.geometry.lens import Lens
@@ -93,6 +101,29 @@ def test_the_library_and_the_command_line_have_every_option():
     assert [option.flag for option in OPTIONS.values() if f"`{option.flag}" not in text] == []
 
 
+def test_a_live_runs_options_are_declared_likewise():
+    (subcommands,) = [a for a in _parser()._actions if isinstance(a, argparse._SubParsersAction)]
+    live = subcommands.choices["live"]
+    args = live.parse_args(
+        "0 --online --size=1280x720 --rate=60 --min-cutoff=3 --beta=0 --hands=left".split()
+    )
+    capture = CaptureOptions.of_arguments(args)
+    options = LiveOptions.of_arguments(args, capture=capture)
+    assert capture == CaptureOptions(hands="left"), "the camera's rate is not that of another program's file"
+    sent = options.to_message()
+    assert sent == {"online": True, "size": [1280, 720], "fps": 60.0, "min_cutoff": 3.0, "beta": 0.0}
+    assert LiveOptions.of_message(sent, capture=capture) == options
+    assert LiveOptions.of_arguments(live.parse_args(["0"])) == LiveOptions()
+    for given, said in (
+        ({"speed": 3}, "no option 'speed' of a live run; choose from online, size"),
+        ({"fps": 0}, "fps must lie between 1 and 1000, not 0"),
+        ({"beta": float("nan")}, "beta must lie between 0 and 1000, not nan"),
+        ({"size": [640]}, "'size' must be a width and a height in pixels"),
+    ):
+        with pytest.raises(OptionError, match=re.escape(said)):
+            LiveOptions.of_message(given)
+
+
 def test_choices_are_looked_up_when_help_is_shown_and_not_before():
     asked: list[int] = []
     option = Option(
@@ -111,7 +142,7 @@ def test_choices_are_looked_up_when_help_is_shown_and_not_before():
         ({"offset": 0.5}, "offset tells of a second view, and there is none: give it with --view"),
         ({"view": "b.mp4", "cameras": "r.toml", "baseline": 1}, "leave the baseline out"),
         ({"speed": 3}, "no option 'speed' of a capture; choose from frames, "),
-        ([1], "options must be an object, not a list of 1"),
+        ([1], "the options of a capture must be an object, not a list of 1"),
         ({"threshold": 10**400}, "'threshold' must be a finite number"),
         ({"smoothing": float("nan")}, "smoothing must lie between 0 and 10, not nan"),
         ({"hand_length": 18}, "a hand's length must lie between 50 and 300 mm, not 18000 mm; measure"),

@@ -7,7 +7,6 @@ import pytest
 
 from handfit_core.common.skeleton import Side
 from handfit_core.detect.clips import ClipFinder
-from handfit_core.detect.correction.corrected import disagreement
 from handfit_core.detect.detector import DetectorSettings
 from handfit_core.detect.in_turn import IN_TURN, Difference
 from handfit_core.detect.keypoints import Detections
@@ -38,7 +37,7 @@ def alone(hand: Detections, change: np.ndarray | float = 0.0) -> Detections:
 
 def test_what_was_seen_by_both_comes_back():
     hand = both()
-    found = Difference.of(hand, 0, 0.0).added_to(alone(hand, 7.0))
+    found = Difference.of(hand, 0.0).added_to(alone(hand, 7.0))
     np.testing.assert_allclose(found.keypoints, hand.keypoints + 7.0, atol=1e-9)
     np.testing.assert_allclose(found.world, hand.world, atol=1e-9)
     assert (found.side[0], found.score[0]) == (hand.side[0], pytest.approx(0.9))
@@ -46,14 +45,16 @@ def test_what_was_seen_by_both_comes_back():
 
 def test_it_grows_with_the_hand():
     hand = both()
-    found = Difference.of(hand, 0, 0.0).added_to(replace(alone(hand), keypoints_2020=2.0 * points_2020(hand)))
+    found = Difference.of(hand, 0.0).added_to(replace(alone(hand), keypoints_2020=2.0 * points_2020(hand)))
     np.testing.assert_allclose(found.keypoints, 2.0 * hand.keypoints, atol=1e-9)
 
 
-def test_between_two_frames_it_is_interpolated():
-    first, last = Difference.of(both(), 3, 0.1), Difference.of(both(side="left", seed=2), 7, 0.5)
-    middle = first.towards(last, 4)
-    np.testing.assert_allclose(middle.keypoints, 0.75 * first.keypoints + 0.25 * last.keypoints)
+def test_between_two_frames_it_is_nearer_to_that_of_the_more_similar_hand():
+    one, other = both(), both(side="left", seed=2)
+    first, last = Difference.of(one, 0.1), Difference.of(other, 0.5)
+    points = 0.75 * points_2020(one) + 0.25 * points_2020(other)
+    middle = first.towards(last, replace(one, keypoints_2020=points))
+    np.testing.assert_allclose(middle.keypoints, 0.75 * first.keypoints + 0.25 * last.keypoints, atol=1e-6)
     assert middle.right == pytest.approx(0.75 * 0.9 + 0.25 * 0.1)
 
 
@@ -62,16 +63,25 @@ def test_between_two_frames_it_is_interpolated():
     [
         (0.01, 0.0, 0.1, False),
         (0.01, 0.0, IN_TURN.seconds, True),
-        (0.5, 0.0, 0.1, True),
+        (0.5, 0.0, 0.1, False),
         (0.01, np.linspace(0.0, 30.0, 21)[:, None], 0.1, True),
         (0.01, 500.0, 0.1, False),
     ],
-    ids=["quiet", "late", "networks disagree", "another pose", "only elsewhere"],
+    ids=["quiet", "late", "networks disagree steadily", "another pose", "only elsewhere"],
 )
 def test_when_the_present_network_runs(apart, change, seconds, due):
     hand = both(apart)
-    assert (disagreement(hand.keypoints, points_2020(hand))[0] > IN_TURN.agreement) == (apart == 0.5)
-    assert Difference.of(hand, 0, 2.0).is_due(alone(hand, change), 2.0 + seconds) is due
+    assert Difference.of(hand, 2.0).is_due(alone(hand, change), 2.0 + seconds) is due
+
+
+def test_a_difference_that_changes_fast_is_taken_again_sooner():
+    """A tenth of `seconds` after a change of `max_drift` it is due, and after one of half as much later."""
+    hand, passed = both(), IN_TURN.seconds / 10.0
+    first = Difference.of(hand, 2.0)
+    for share, due in ((1.0, True), (0.5, False)):
+        change = share * IN_TURN.max_drift * 100.0 * np.array([0.6, 0.8, 0.0])
+        second = Difference.of(replace(hand, keypoints=hand.keypoints + change), 2.0 + passed, first)
+        assert second.is_due(alone(hand), 2.0 + 2.0 * passed) is due
 
 
 @pytest.mark.usefixtures("landmark_model")

@@ -94,9 +94,7 @@ def observe(points: np.ndarray, *, noise: float = 0.0, sigma: float = 4.0, seed:
     )
 
 
-def kept_near(state: State, limits_sigma: float = np.nan) -> PoseAnchor:
+def anchored_near(state: State, limits_sigma: float = np.nan) -> PoseAnchor:
     """To stay near those poses, each finger as firmly as another, the little one not at all."""
     sigma = np.tile([0.1, 0.2, 0.5, 1.0, np.inf], (len(state), 1))
-    return PoseAnchor(
-        state.wrist, np.full(len(state), 0.02), state.angles, sigma, np.full(len(state), limits_sigma)
-    )
+    return PoseAnchor.at(state, 0.02, sigma, limits_sigma)

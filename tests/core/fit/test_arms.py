@@ -13,15 +13,15 @@ from handfit_core.capturing.arms import _seen, arms_of
 from handfit_core.detect.body import ELBOWS, SHOULDERS, WRISTS, BodyTrack
 from handfit_core.fit.arms import (
     ARMS,
-    DIRECTION_TERMS,
     FREE,
-    POINT_TERMS,
+    TERMS,
+    ArmFit,
     Arms,
     ArmsSeen,
-    _start,
-    _window,
+    first_guess,
     fit_arms,
     shoulder_width,
+    solve_arms,
 )
 from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.take import HandTrack
@@ -64,14 +64,13 @@ def problem(count: int = 4) -> tuple[Arms, ArmsSeen]:
         wrist + random(*wrist.shape, scale=0.02),
         unit(unit(wrist - elbow) + random(*wrist.shape, seed=1, scale=0.2)),
         unit(unit(elbow - shoulder) + random(*wrist.shape, seed=2, scale=0.2)),
+        1.1 * seen.lengths,
     )
     arms.forearm[1, 1] = -arms.forearm[1, 1]
     return arms, seen
 
 
-@pytest.mark.parametrize(
-    "term", [*POINT_TERMS, *DIRECTION_TERMS, shoulder_width], ids=lambda term: term.__name__
-)
+@pytest.mark.parametrize("term", [*TERMS, shoulder_width], ids=lambda term: term.__name__)
 def test_terms_lead_downhill(term):
     """Their derivatives give the slope of their cost by every unknown, also where outliers count less."""
     arms, seen = problem()
@@ -79,12 +78,30 @@ def test_terms_lead_downhill(term):
     raw = np.einsum(
         "t...k,t...kv->t...v" if term is not shoulder_width else "tk,tkav->tav", residual, jacobian
     )
-    slope = np.einsum("tav,tavu->tau", raw, arms.tangents())
-    cost = by_each(
-        lambda step: np.square(term(arms.moved(step), seen)[0]).sum(), np.zeros((*raw.shape[:2], FREE))
-    )
+    slope = np.einsum("tav,tavu->tau", raw, arms.derivatives())
+    still, alike = np.zeros((*raw.shape[:2], FREE)), np.zeros((len(raw), 2))
+    cost = by_each(lambda step: np.square(term(arms.moved(step, alike), seen)[0]).sum(), still)
     assert np.abs(cost).max() > 1.0
-    close(2.0 * slope.ravel(), cost, rtol=1e-4, atol=1e-5 * np.abs(cost).max())
+    close(2.0 * slope[..., :FREE].ravel(), cost, rtol=1e-4, atol=1e-5 * np.abs(cost).max())
+    cost = by_each(lambda longer: np.square(term(arms.moved(still, longer), seen)[0]).sum(), alike)
+    close(
+        2.0 * slope[..., FREE:].sum(axis=1).ravel(), cost, rtol=1e-4, atol=1e-5 * max(np.abs(cost).max(), 1.0)
+    )
+
+
+def test_the_fit_leads_downhill():
+    """All terms with the motion and the lengths: the gradient is that of the cost."""
+    arms, seen = problem()
+    fit = ArmFit(seen, FPS)
+    count, number = arms.wrist.shape[:2]
+    still, alike = np.zeros((count, number, FREE)), np.zeros((count, 2))
+    system = fit.blocks(arms)
+    cost = by_each(lambda step: fit.blocks(arms.moved(step, alike)).cost.sum(), still)
+    close(2.0 * system.gradient.ravel(), cost, rtol=1e-4, atol=1e-5 * np.abs(cost).max())
+    cost = by_each(
+        lambda longer: fit.blocks(arms.moved(still, np.tile(longer, (count, 1)))).cost.sum(), np.zeros(2)
+    )
+    close(2.0 * system.by_length, cost, rtol=1e-4, atol=1e-5 * np.abs(cost).max())
 
 
 @pytest.mark.parametrize(("count", "rate"), [(1, 24.0), (40, 1000.0)])
@@ -136,10 +153,10 @@ def test_long_clips_are_solved_in_windows():
     """Windows give what one system over the whole clip gives, to a millimetre."""
     long = person(720)
     seen = _seen(long.hands, body_of(long.points, 0.019), CAMERA, slice(0, 720))
-    parts, lengths = fit_arms(seen, FPS)
-    built = replace(seen, lengths=lengths)
-    whole, _ = _window(built, _start(built), FPS, learn=False)
-    shoulders = (arms.points(lengths)[0] for arms in (whole, parts))
+    parts = fit_arms(seen, FPS)
+    start = replace(first_guess(seen), lengths=parts.lengths)
+    whole = solve_arms(ArmFit(seen, FPS, learn=False), start)
+    shoulders = (arms.points[..., 0, :] for arms in (whole, parts))
     assert np.linalg.norm(np.subtract(*shoulders), axis=-1).max() < 0.001
 
 
@@ -148,8 +165,7 @@ def test_shoulders_of_one_person_are_joined():
     visibility = PERSON.body.visibility.copy()
     visibility[:, [SHOULDERS["left"], ELBOWS["left"]]] = 0.01
     seen = _seen(PERSON.hands, replace(PERSON.body, visibility=visibility), CAMERA, slice(0, 60))
-    arms, lengths = fit_arms(seen, FPS)
-    shoulders = arms.points(lengths)[0]
+    shoulders = fit_arms(seen, FPS).points[..., 0, :]
     apart = np.linalg.norm(shoulders[:, 0] - shoulders[:, 1], axis=1)
     assert np.abs(apart - ARMS.shoulders * seen.hand_length).max() < 0.02
 

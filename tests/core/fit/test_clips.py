@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from handfit_core.fit import clips
-from handfit_core.fit.clips import smooth_clip
+from handfit_core.fit import banded, clips
+from handfit_core.fit.clips import ClipProblem, MotionPrior, smooth_clip
 from handfit_core.fit.observation import Observation
-from handfit_core.fit.problem import FixedJoints, MotionPrior, Problem
+from handfit_core.fit.problem import FixedJoints
 from handfit_core.geometry.rotations import euler_to_rotmat, rotvec_to_rotmat
 from handfit_core.hand_model.chain import State
 from tests.core.fit.differences import close, random
@@ -52,15 +52,15 @@ def clip(seed: int = 0) -> tuple[State, Observation, State]:
     return truth, observe(CHAIN.points(truth), noise=3.0, seed=seed), jittered(truth, seed)
 
 
-def problem_for(seen: Observation, **fields: Any) -> Problem:
-    return replace(problem_of(CHAIN, seen, "given"), **{"motion": MOTION, **fields})
+def clip_of(seen: Observation, motion: MotionPrior = MOTION, **fields: Any) -> ClipProblem:
+    return ClipProblem(problem_of(CHAIN, seen, "given"), motion, **fields)
 
 
 def run(seen: Observation, start: State, motion: MotionPrior = MOTION, **fields: Any) -> State:
-    return smooth_clip(problem_for(seen, motion=motion, **fields), start)
+    return smooth_clip(clip_of(seen, motion, **fields), start)
 
 
-def total_cost(problem: Problem, state: State) -> float:
+def total_cost(problem: ClipProblem, state: State) -> float:
     """With the accelerations by SciPy's rotations; the palm's in parts of what `motion_scale` expects."""
     known = np.full(len(state), True) if problem.observed is None else problem.observed
     local = euler_to_rotmat(state.angles.reshape(-1, 15, 3))
@@ -73,7 +73,7 @@ def total_cost(problem: Problem, state: State) -> float:
     )
     if problem.motion_scale is not None:
         turning[:, 0] /= problem.motion_scale[1:-1, None]
-    of_frames = problem.blocks(state).cost[known]
+    of_frames = replace(problem.frames, fixed=None).blocks(state).cost[known]
     return float(of_frames.sum() + np.square(turning).sum() + np.square(moving).sum())
 
 
@@ -85,9 +85,9 @@ def accelerations(values: np.ndarray) -> float:
 @pytest.mark.parametrize("scale", [None, np.array([1.0, 0.3, 0.05, 0.05, 0.05, 0.1, 0.4, 1.0, 1.0])])
 def test_it_is_a_minimum(monkeypatch: pytest.MonkeyPatch, scale: np.ndarray | None) -> None:
     """No small change of any kind lowers the total cost; also where the palm holds still."""
-    monkeypatch.setattr(clips, "SOLVER", replace(clips.SOLVER, clip_iterations=20, clip_tolerance=1e-9))
+    monkeypatch.setattr(clips, "SOLVER", replace(clips.SOLVER, clip_iterations=20, clip_min_gain=1e-9))
     _, seen, start = (each.select(slice(9)) for each in clip())
-    problem = problem_for(seen, observed=np.arange(9) != 3, motion_scale=scale)
+    problem = clip_of(seen, observed=np.arange(9) != 3, motion_scale=scale)
     found = smooth_clip(problem, start)
     least = total_cost(problem, found)
     assert least < 0.2 * total_cost(problem, start)
@@ -161,9 +161,9 @@ def test_windows_agree_with_the_whole(monkeypatch: pytest.MonkeyPatch, count: in
     truth = clip()[0].select(slice(count))
     # Sharp looks: what happens eight frames on has hardly any influence, as with real overlaps.
     seen = observe(CHAIN.points(truth), noise=1.0, sigma=1.0)
-    monkeypatch.setattr(clips, "SOLVER", replace(clips.SOLVER, clip_iterations=30, clip_tolerance=1e-9))
+    monkeypatch.setattr(clips, "SOLVER", replace(clips.SOLVER, clip_iterations=30, clip_min_gain=1e-9))
     whole = run(seen, truth)
-    monkeypatch.setattr(clips, "SOLVER", replace(clips.SOLVER, window_frames=12))
+    monkeypatch.setattr(banded, "SOLVER", replace(banded.SOLVER, window_frames=12))
     found = run(seen, truth, replace(MOTION, overlap=16))
     difference = np.linalg.norm(CHAIN.points(found) - CHAIN.points(whole), axis=-1)
     assert 0.0 < difference.max() < 2e-3  # metres
@@ -179,16 +179,18 @@ def test_one_or_two_frames(count: int) -> None:
 @pytest.mark.parametrize("window", [600, 12])
 def test_held_variables(monkeypatch: pytest.MonkeyPatch, window: int) -> None:
     """And the shape, which is given."""
-    monkeypatch.setattr(clips, "SOLVER", replace(clips.SOLVER, window_frames=window))
+    monkeypatch.setattr(banded, "SOLVER", replace(banded.SOLVER, window_frames=window))
     _, seen, start = clip()
     start = replace(start, betas=random(COUNT, 10))
     joints = np.zeros((COUNT, 16), dtype=bool)
     joints[:, [1, 2, 15]] = True
     joints[10:20, 0] = True
-    problem = problem_for(seen, motion=replace(MOTION, overlap=16), held=FixedJoints(joints, start))
+    problem = clip_of(seen, replace(MOTION, overlap=16))
+    fixed = FixedJoints(joints, start)
+    problem = replace(problem, frames=replace(problem.frames, fixed=fixed))
     found = smooth_clip(problem, start)
     close(found.betas, start.betas)
-    close(problem.held.put(found).angles, found.angles, atol=1e-9, rtol=0)
+    close(fixed.put(found).angles, found.angles, atol=1e-9, rtol=0)
     close(found.root[10:20], start.root[10:20], atol=1e-9, rtol=0)
     assert np.array_equal(found.wrist[10:20], start.wrist[10:20])
     # Thumb 13, 14, 15 and index 1, 2, 3 come first.

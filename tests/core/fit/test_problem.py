@@ -17,8 +17,8 @@ from handfit_core.hand_model.length import betas_of_length, length_rates
 from tests.core.fit.differences import of_increments
 from tests.core.fit.hands import (
     OFFSETS,
+    anchored_near,
     chain_of,
-    kept_near,
     make_state,
     observe,
     prior_about_relaxed,
@@ -59,7 +59,7 @@ def problem_with(kind: str, side: Side) -> tuple[Problem, State]:
         shape = Shape(betas, length_rates(chain.model, betas))
         return problem_of(chain, seen, terms=(reprojection, depth, prior_about_relaxed(side), shape)), state
     if kind == "kept":
-        seen = replace(seen, kept=kept_near(truth, 0.01), pinned=np.arange(21)[None] % 5 == 0)
+        seen = replace(seen, anchor=anchored_near(truth, 0.01), pinned=np.arange(21)[None] % 5 == 0)
         terms = (reprojection, depth, Limits(side), coupling, near_pose, distance)
         return problem_of(chain, seen, "given", terms), state
     return problem_of(chain, seen), state

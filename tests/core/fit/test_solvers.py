@@ -11,9 +11,9 @@ import pytest
 
 from handfit_core.common.skeleton import Side
 from handfit_core.fit import levenberg
-from handfit_core.fit.clips import smooth_clip
+from handfit_core.fit.clips import ClipProblem, MotionPrior, smooth_clip
 from handfit_core.fit.levenberg import solve
-from handfit_core.fit.problem import MotionPrior, Problem
+from handfit_core.fit.problem import Problem
 from handfit_core.fit.solution import Solution, Status
 from handfit_core.fit.start import relaxed_start
 from handfit_core.fit.terms import Limits
@@ -60,7 +60,7 @@ def problem_for(side: Side, spread: float, count: int = 8, noise: float = 0.0) -
 def as_clip(problem: Problem, start: State, truth: State) -> State:
     """One that may move as it likes, whose shape is known, and whose frames are near."""
     start = replace(exactly(problem, start).state, betas=truth.betas)
-    return smooth_clip(replace(problem, shape="given", motion=MotionPrior(1e3, 1e3)), start)
+    return smooth_clip(ClipProblem(replace(problem, shape="given"), MotionPrior(1e3, 1e3)), start)
 
 
 @pytest.mark.parametrize(

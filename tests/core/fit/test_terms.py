@@ -30,7 +30,7 @@ from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import BEND, SPREAD
 from handfit_core.hand_model.chain import BETAS, DEPTH_ZERO, PLACE, Posed
 from tests.core.fit.differences import by_each, close, random, unit
-from tests.core.fit.hands import MIRROR, OFFSETS, chain_of, kept_near, make_state, observe
+from tests.core.fit.hands import MIRROR, OFFSETS, anchored_near, chain_of, make_state, observe
 
 CHAIN = chain_of("right", OFFSETS)
 ROOT = random(5, 9, 12, seed=2)
@@ -73,7 +73,7 @@ def hands(batch: int = 3) -> tuple[Posed, Observation]:
     state = make_state(batch, CHAIN, spread=0.8)
     state.angles[0, [3, 4], BEND] = 2.0, -0.2  # beyond 90 degrees the spread's range stays
     other = make_state(batch, CHAIN, seed=1)
-    seen = replace(observe(CHAIN.points(other), noise=5.0), kept=kept_near(other))
+    seen = replace(observe(CHAIN.points(other), noise=5.0), anchor=anchored_near(other))
     turns = rotvec_to_rotmat(np.tile([0.1, 0.8, -0.2], (batch, 1)))
     there = observe(CHAIN.points(other) @ turns.swapaxes(1, 2) + [0.3, 0.0, 0.4])
     shift = np.tile([0.3, 0.0, 0.4], (batch, 1))

@@ -13,8 +13,10 @@ from handfit_core.geometry.rotations import (
     rotmat_to_rotvec,
     rotvec_to_rotmat,
     skew,
+    swings,
     turn_from_axis,
     unflip_quats,
+    units,
 )
 
 ANGLES = [0.0, 1e-12, 1e-8, 1e-7, 1e-4, 0.3, math.pi / 2, 2.5, math.pi - 1e-7, math.pi]
@@ -103,3 +105,15 @@ def test_turn_from_axis():
     np.testing.assert_allclose(turns[:, :, 2], rays, atol=1e-12)
     np.testing.assert_allclose(turns @ turns.swapaxes(1, 2), np.tile(np.eye(3), (5, 1, 1)), atol=1e-12)
     np.testing.assert_allclose((turns.trace(axis1=1, axis2=2) - 1) / 2, rays[:, 2], atol=1e-12)
+
+
+def test_swings():
+    start, end = units(np.random.default_rng(11).normal(size=(2, 50, 3)))
+    # Beside opposite ones, any axis will do.
+    for to, near in ((end, 1e-9), (start, 1e-9), (-start, 1e-9), (units(-start + 1e-6 * end), 1e-5)):
+        turn = swings(start, to)
+        np.testing.assert_allclose((turn @ start[..., None])[..., 0], to, atol=near)
+        np.testing.assert_allclose(turn @ turn.swapaxes(1, 2), np.tile(np.eye(3), (50, 1, 1)), atol=1e-9)
+        angle = np.linalg.norm(rotmat_to_rotvec(turn), axis=-1)
+        expected = np.arctan2(np.linalg.norm(np.cross(start, to), axis=-1), (start * to).sum(axis=-1))
+        np.testing.assert_allclose(angle, expected, atol=1e-5)

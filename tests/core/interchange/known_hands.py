@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,33 +24,17 @@ TURN = np.array([1.0, -1.0, -1.0])
 """What a mirror at x = 0 does to an axis-angle"""
 
 
-@dataclass(frozen=True, eq=False)
-class KnownHand:
-    """T frames of a hand as a take has them."""
-
-    side: Side
-    global_orient: np.ndarray
-    hand_pose: np.ndarray
-    transl: np.ndarray
-    betas: np.ndarray
-
-    @property
-    def mirrored(self) -> tuple[np.ndarray, np.ndarray]:
-        """The orientation and pose of the other hand in a mirror."""
-        return self.global_orient * TURN, self.hand_pose * np.tile(TURN, 15)
-
-    @property
-    def matrices(self) -> np.ndarray:
-        """(T, 16, 3, 3)"""
-        return matrices(np.concatenate([self.global_orient, self.hand_pose], axis=1))
-
-
 def matrices(rotvec: np.ndarray) -> np.ndarray:
     """(T, 3 J) axis-angle -> (T, J, 3, 3)"""
     return rotvec_to_rotmat(rotvec.reshape(len(rotvec), -1, 3))
 
 
-def known_hand(side: Side, seed: int = 0, *, bend: tuple[float, float] = (10.0, 60.0)) -> KnownHand:
+def joints_turned(hand: HandMotion) -> np.ndarray:
+    """(T, 16, 3, 3)"""
+    return matrices(np.concatenate([hand.global_orient, hand.hand_pose], axis=1))
+
+
+def known_hand(side: Side, seed: int = 0, *, bend: tuple[float, float] = (10.0, 60.0)) -> HandMotion:
     """Fingers that bend by some degrees of that range, spread and twist a little, and move from frame to
     frame; a hand half a metre from the camera."""
     rng = np.random.default_rng(100 * seed + SIDES.index(side))
@@ -59,12 +42,12 @@ def known_hand(side: Side, seed: int = 0, *, bend: tuple[float, float] = (10.0, 
     angles[..., 2] = np.radians(rng.uniform(*bend, (FRAMES, 15)))
     pose = rotmat_to_rotvec(rotmats_from_angles(angles, anatomical_axes(load_model(None, side))))
     place = np.array([0.1 if side == "left" else -0.1, 0.0, 0.6])
-    return KnownHand(
+    return HandMotion(
         side,
+        rng.normal(size=10),
         rng.uniform(-1.0, 1.0, (FRAMES, 3)),
         pose.reshape(FRAMES, 45),
         place + rng.uniform(-0.05, 0.05, (FRAMES, 3)),
-        rng.normal(size=10),
     )
 
 
@@ -105,14 +88,14 @@ def hand_of(recording: Recording, side: Side) -> HandMotion:
 
 
 def assert_same_turns(ours: np.ndarray, theirs: np.ndarray, exact: float = EXACT) -> None:
-    """Whether axis-angles (T, 3 J) turn alike, to `exact` radians."""
+    """Check that axis-angles (T, 3 J) turn alike, to `exact` radians."""
     turned = np.swapaxes(matrices(ours), -1, -2) @ matrices(theirs)
     off = np.linalg.norm(rotmat_to_rotvec(turned), axis=-1)
     assert off.max() < exact, f"off by {np.degrees(off.max()):.3g} degrees"
 
 
-def assert_same_hand(found: HandMotion, known: KnownHand, *, placed: bool = True) -> None:
-    """Whether a hand is the known one in the frames that have it."""
+def assert_same_hand(found: HandMotion, known: HandMotion, *, placed: bool = True) -> None:
+    """Check that a hand is the known one in the frames that have it."""
     there = found.present
     assert_same_turns(found.global_orient[there], known.global_orient[there])
     assert_same_turns(found.hand_pose[there], known.hand_pose[there])
@@ -121,5 +104,5 @@ def assert_same_hand(found: HandMotion, known: KnownHand, *, placed: bool = True
 
 
 def says(recording: Recording, words: str) -> bool:
-    """Whether one of the phrases has these words."""
+    """True if one of the phrases has these words."""
     return any(words in phrase for phrase in recording.assumed)

@@ -19,6 +19,7 @@ from tests.core.interchange.known_hands import (
     HANDS,
     TURN,
     coefficients_of,
+    joints_turned,
     matrices,
     mean_of,
     wrist_of,
@@ -63,7 +64,8 @@ def network(frame: int) -> dict[str, Any]:
     """What HaMeR's network gives for both hands of one picture, and what its demo works out of it."""
     rows = []
     for side, hand in HANDS.items():
-        orient, pose = hand.mirrored if side == "left" else (hand.global_orient, hand.hand_pose)
+        turn = TURN if side == "left" else np.ones(3)
+        orient, pose = hand.global_orient * turn, hand.hand_pose * np.tile(turn, 15)
         rows.append((matrices(orient)[frame], matrices(pose)[frame], hand.betas, hand.transl[frame]))
     orient, pose, betas, transl = (np.stack(column) for column in zip(*rows, strict=True))
     return {
@@ -132,8 +134,8 @@ def hawor(**changes: Any) -> dict[str, Any]:
     for side, first, last in (("left", 0, 2), ("left", 4, FRAMES - 1), ("right", 0, FRAMES - 1)):
         hand, rows = HANDS[side], slice(first, last + 1)
         files[f"cam_space/{SIDES.index(side)}/{first}_{last}.json"] = {
-            "init_root_orient": hand.matrices[None, rows, 0],
-            "init_hand_pose": hand.matrices[None, rows, 1:],
+            "init_root_orient": joints_turned(hand)[None, rows, 0],
+            "init_hand_pose": joints_turned(hand)[None, rows, 1:],
             "init_trans": hand.transl[None, rows],
             "init_betas": np.tile(hand.betas, (1, last - first + 1, 1)),
             **changes,

@@ -1,18 +1,22 @@
-"""Hands that are known (tests/told.py) in the layouts of programs that write points."""
+"""Hands that are known (tests/told.py) in the layouts of programs that write points: `MADE` has them all."""
 
 from __future__ import annotations
 
 import json
+import pickle
+import struct
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from handfit_core.common.skeleton import SIDES, Side, other_side
 from tests.told import FRAMES, HEIGHT, WIDTH, told
+from tests.torch_files import torch_zip
 
 TOLD = told()
+ALL = list(range(FRAMES))
 SIZE = np.array([WIDTH, HEIGHT], dtype=float)
 NAMES = (
     "WRIST THUMB_CMC THUMB_MCP THUMB_IP THUMB_TIP INDEX_FINGER_MCP INDEX_FINGER_PIP INDEX_FINGER_DIP "
@@ -96,9 +100,6 @@ def flat(frame: int) -> dict[str, Any]:
     return {"hands": [{"label": s, "landmarks": landmarks(s, frame).ravel().tolist()} for s in SIDES]}
 
 
-MEDIAPIPE = [tasks, tasks_python, legacy, legacy_script, holistic, listed, by_side, flat]
-
-
 def triples(values: np.ndarray, sure: float = 0.7) -> list[float]:
     return np.column_stack([values, np.full(len(values), sure)]).ravel().tolist()
 
@@ -154,22 +155,13 @@ def apples_raw_values(frame: int) -> dict[str, Any]:
     return apple(frame, [f"VNHumanHandPoseObservationJointName(_rawValue: {code})" for code in APPLE_CODES])
 
 
-PICTURES = {
-    **dict.fromkeys(MEDIAPIPE, "mediapipe"),
-    **dict.fromkeys((openpose,), "openpose"),
-    **dict.fromkeys((mmpose, halpe), "mmpose"),
-    **dict.fromkeys((apple, apples_api, apples_raw_values), "apple-vision"),
-}
-"""The layouts of one frame, and their readers"""
-
-
 # Hands in space
 
 
 def in_room(side: Side) -> np.ndarray:
     """(6, 21, 3) millimetres with Z up, of FreeMoCap: what is away from the camera lies along Y."""
     x, y, z = np.moveaxis(TOLD.points[side], -1, 0)
-    return 1000.0 * np.stack([x, z, -y], axis=-1) + [200.0, -900.0, 1100.0]
+    return 1000.0 * np.stack([x, z, -y], axis=-1)
 
 
 def above(side: Side, frame: int) -> list[list[float]]:
@@ -310,7 +302,7 @@ def saved(path: Path, content: Any) -> Path:
     return path
 
 
-def folder(path: Path, frames: list[Any], name: str = "clip_{:012d}_keypoints.json") -> Path:
+def folder_of(path: Path, frames: list[Any], name: str = "clip_{:012d}_keypoints.json") -> Path:
     path.mkdir(exist_ok=True)
     for number, content in enumerate(frames):
         saved(path / name.format(number), content)
@@ -335,9 +327,205 @@ def rows_of_hands(landmarks_of: Any = landmarks) -> list[list[Any]]:
     return [[i, side, *landmarks_of(side, i).ravel().tolist()] for i in range(FRAMES) for side in SIDES]
 
 
-def trajectories(path: Path, *sides: Side) -> Path:
-    """FreeMoCap's table of some hands."""
-    header = named("xyz", *(f"{side}_hand_{name.lower()}" for side in sides for name in NAMES))
-    return table(
-        path, header, np.concatenate([in_room(side) for side in sides], axis=1).reshape(FRAMES, -1).tolist()
-    )
+def output(path: Path, **hands: np.ndarray) -> Path:
+    """FreeMoCap's folder, with these hands' arrays in millimetres."""
+    path.mkdir(exist_ok=True)
+    for side in SIDES:
+        np.save(path / f"mediapipe_{side}_hand_3d_xyz.npy", hands.get(side, in_room(side)))
+    np.save(path / "mediapipe_body_3d_xyz.npy", np.zeros((FRAMES, 33, 3)))
+    return path
+
+
+def freemocap2() -> list[list[Any]]:
+    """A row for each point, of the body, too, and of the rigid bones' trajectories."""
+    rows: list[list[Any]] = []
+    for off, kind in ((0.0, "3d_xyz"), (50.0, "rigid_3d_xyz")):
+        for i in ALL:
+            rows.append([i, "right_wrist", 1, 2, 3, "mediapipe.body", 1.0, kind])
+            for side in SIDES:
+                for name, place in zip(SIDED[side], in_room(side)[i] + off, strict=True):
+                    rows.append([i, name, *place, f"mediapipe.{side}_hand", 1.0, kind])
+    return rows
+
+
+def whole_body(frame: int, count: int) -> dict[str, Any]:
+    """OpenPose's person whose hands are among the body's points: 25+21+21, COCO-WholeBody's or Halpe's."""
+    body = np.full((25, 2), 7.0), *(TOLD.pixels[side][frame] for side in SIDES)
+    found = np.concatenate(body) if count == 67 else np.array(instance(frame, count)["keypoints"])
+    return {"people": [{"pose_keypoints_2d": triples(found)}]}
+
+
+def tensorflow(side: Side, frame: int) -> dict[str, Any]:
+    """A hand of TensorFlow.js."""
+    kinds = {"keypoints": TOLD.pixels[side][frame], "keypoints3D": TOLD.world[side][frame]}
+    return {"handedness": side.capitalize(), "score": 0.9} | {
+        kind: [{"name": n.lower(), **p} for n, p in zip(NAMES, points(values), strict=True)]
+        for kind, values in kinds.items()
+    }
+
+
+# All of them
+
+SIDED = {side: [f"{side}_hand_{name.lower()}" for name in NAMES] for side in SIDES}
+_BOTH = [[i, *landmarks("left", i).ravel(), *landmarks("right", i).ravel()] for i in ALL]
+_EACH = [(i, side, k, landmarks(side, i)[k]) for i in ALL for side in SIDES for k in range(21)]
+_BODY = [
+    [i, f"{i}-{kind}", kind, k, 0.4, 0.4, 0.0] for i in ALL for kind in ("face", "pose") for k in range(30)
+]
+_BODY += [[i, f"{i}-{side}", f"{side}_hand", k, *place] for i, side, k, place in _EACH]
+_APPLES = [[i, side, APPLE_CODES[k], *from_below(side, i)[k], 0.9] for i, side, k, _ in _EACH]
+_LEFT, _RIGHT = (TOLD.points[side] for side in SIDES)
+_NUMBERED = np.column_stack([ALL, 1000.0 * _RIGHT.reshape(FRAMES, -1)])
+_ROOM = np.concatenate([in_room(side) for side in SIDES], axis=1).reshape(FRAMES, -1)
+_TORCH = torch_zip({"hand": _LEFT.astype(np.float32)})
+_CODES = dict(zip(APPLE_CODES, from_below("left", 0).tolist(), strict=True))
+
+
+def pose_format(path: Path, version: float = 0.1) -> None:
+    """Sign language's .pose, of a body's two points and both hands."""
+
+    def text(of: str) -> bytes:
+        return struct.pack(f"<H{len(of)}s", len(of), of.encode())
+
+    parts = [("POSE_LANDMARKS", ["NOSE", "NECK"]), *((f"{s.upper()}_HAND_LANDMARKS", NAMES) for s in SIDES)]
+    data = struct.pack("<f4H", version, WIDTH, HEIGHT, 0, len(parts))
+    for name, names in parts:
+        data += text(name) + text("XYZC") + struct.pack("<3H", len(names), 1, 1)
+        data += b"".join(map(text, names)) + bytes(4 + 6)
+    places = np.zeros((FRAMES, 1, 44, 3), dtype="<f4")
+    for side, first in zip(SIDES, (2, 23), strict=True):
+        places[:, 0, first : first + 21] = [landmarks(side, i) * [WIDTH, HEIGHT, WIDTH] for i in ALL]
+    data += struct.pack("<fIH", 24.0, FRAMES, 1) if version > 0.1 else struct.pack("<3H", 24, FRAMES, 1)
+    path.write_bytes(data + places.tobytes() + np.ones((FRAMES, 1, 44), dtype="<f4").tobytes())
+
+
+def by_axis(side: Side, frame: int) -> dict[str, dict[str, float]]:
+    """A hand as pandas writes a table with a row for each point."""
+    columns = zip("xyz", landmarks(side, frame).T.tolist(), strict=True)
+    return {axis: {str(k): value for k, value in enumerate(values)} for axis, values in columns}
+
+
+def deeplabcut(path: Path) -> None:
+    """Three lines of names over pixels of the right hand."""
+    rows = [["scorer", *["DLC_resnet50"] * 63], ["bodyparts", *(n for n in NAMES for _ in range(3))]]
+    rows.append(["coords", *["x", "y", "likelihood"] * 21])
+    rows += [[i, *np.column_stack([TOLD.pixels["right"][i], np.ones(21)]).ravel()] for i in ALL]
+    path.write_text("\n".join(",".join(map(str, row)) for row in rows), encoding="utf-8")
+
+
+def with_commas(path: Path) -> None:
+    """A table as spreadsheets write it where a comma stands before decimals."""
+    table(path, ["frame", *named("xyz", *SIDED["left"], *SIDED["right"])], _BOTH)
+    text = path.read_text(encoding="utf-8").replace(",", ";").replace(".", ",")
+    path.write_text(text, encoding="utf-8")
+
+
+class Made(NamedTuple):
+    """A file with known hands."""
+
+    reader: str
+    content: Any
+    """JSON, a table's names and rows, an array, or what writes it to a path; a folder's name has no ending"""
+    rows: list[int] = ALL
+    """The frames of the known hands that it has"""
+    sides: tuple[Side, ...] = SIDES
+
+
+def written(folder: Path, name: str) -> Path:
+    """That one of `MADE`."""
+    path, content = folder / name, MADE[name].content
+    if callable(content):
+        content(path)
+    elif path.suffix == ".npy":
+        np.save(path, content)
+    elif path.suffix == ".csv":
+        table(path, *content)
+    elif path.suffix == ".jsonl":
+        path.write_text("\n".join(map(json.dumps, content)), encoding="utf-8")
+    else:
+        (saved if path.suffix else folder_of)(path, content)
+    return path
+
+
+_LAYOUTS: dict[str, list[Any]] = {
+    "mediapipe": [tasks, tasks_python, legacy, legacy_script, holistic, listed, by_side, flat],
+    "openpose": [openpose],
+    "mmpose": [mmpose, halpe],
+    "apple-vision": [apple, apples_api, apples_raw_values],
+    "xr-points": [headset],
+}
+MADE: dict[str, Made] = {
+    **{f"{of.__name__}.json": Made(n, [of(i) for i in ALL]) for n, each in _LAYOUTS.items() for of in each},
+    "tensorflow.json": Made("mediapipe", [[tensorflow(side, i) for side in SIDES] for i in ALL]),
+    "a_line_a_hand.jsonl": Made("mediapipe", [
+        {"frame": i, "side": side, "landmarks": landmarks(side, i).tolist()} for i in ALL for side in SIDES
+    ]),
+    "a.pose": Made("pose-format", pose_format),
+    "by_axis.jsonl": Made("mediapipe", [
+        {"landmarks": {side.title(): by_axis(side, i) for side in SIDES}} for i in ALL
+    ]),
+    "metres.json": Made("mediapipe", _LEFT.tolist(), sides=("left",)),
+    "one_frame.json": Made("openpose", openpose(0), [0]),
+    "openpose": Made("openpose", [openpose(i) for i in ALL]),
+    **{f"body_of_{n}": Made("openpose", [whole_body(i, n) for i in ALL]) for n in (67, 133, 136)},
+    "inferencer.json": Made("mmpose", {"meta_info": {}, "instance_info": [instance(2)]}, [2]),
+    "demo.json": Made("mmpose", {"instance_info": [mmpose(i) for i in ALL]}),
+    "annotations.json": Made("coco-wholebody", annotations()),
+    # Halpe's, with hands among a person's 136 points
+    "halpe_annotations.json": Made("coco-wholebody", annotations() | {
+        "annotations": [
+            {"image_id": 100 + i, "keypoints": each["keypoints"]} for i, each in enumerate(alphapose(136))
+        ]
+    }),
+    **{f"alphapose_{n}.json": Made("alphapose", alphapose(n)) for n in (133, 136)},
+    "interhand.json": Made("interhand", interhand()),
+    "codes.json": Made("apple-vision", {"chirality": "left", **_CODES}, [0], ("left",)),
+    "leapjs.json": Made("leap", websocket()),
+    "leapc.json": Made("leap", leapc()),
+    "rows_from_0.csv": Made("mediapipe", (["frame", "handedness", *wide()], rows_of_hands())),
+    "rows_from_1.csv": Made("mediapipe", (["frame", "handedness", *wide(1)], rows_of_hands())),
+    "named_rows.csv": Made("mediapipe", (["frame_number", "hand", *named("xyz", *NAMES)], rows_of_hands())),
+    "both_named.csv": Made("mediapipe", (["frame", *named("xyz", *SIDED["left"], *SIDED["right"])], _BOTH)),
+    "both_numbered.csv": Made("mediapipe", (
+        ["frame", *named("xyz", *(f"hand{h}_landmark{k}" for h in (0, 1) for k in range(21)))], _BOTH
+    )),
+    "points.csv": Made("mediapipe", (
+        ["Frame", "Hand", "Landmark", "X", "Y", "Z"], [[i, int(s == "right"), k, *p] for i, s, k, p in _EACH]
+    )),
+    "anipose.csv": Made("arrays", (
+        [*(f"{n}_{a}" for n in NAMES for a in ("x", "y", "z", "error", "score")), "fnum"],
+        [[*np.pad(1000.0 * _RIGHT[i], ((0, 0), (0, 2)), constant_values=0.9).ravel(), i] for i in ALL],
+    ), sides=("right",)),
+    "with_commas.csv": Made("mediapipe", with_commas),
+    "deeplabcut.csv": Made("mediapipe", deeplabcut, sides=("right",)),
+    # As in the data of Google's sign language competition.
+    "beside_a_body.csv": Made("mediapipe", (
+        ["frame", "row_id", "type", "landmark_index", "x", "y", "z"], _BODY
+    )),
+    "apple_rows.csv": Made("apple-vision", (
+        ["frame", "chirality", *named("xy", *APPLE_NAMES)], rows_of_hands(from_below)
+    )),
+    "apple_points.csv": Made("apple-vision", (["frame", "hand", "joint", "x", "y", "confidence"], _APPLES)),
+    "aria.csv": Made("aria", aria),
+    "a.trc": Made("trc", trc),
+    "trajectories.csv": Made("freemocap", (named("xyz", *SIDED["left"], *SIDED["right"]), _ROOM.tolist())),
+    "right_hand.csv": Made("freemocap", (
+        named("xyz", "body_nose", *(f"right_hand_{k:04d}" for k in range(21))),
+        np.column_stack([np.full((FRAMES, 3), 500.0), _ROOM[:, 63:]]).tolist(),
+    ), sides=("right",)),
+    "freemocap2.csv": Made("freemocap", (
+        ["frame", "keypoint", "x", "y", "z", "model", "reprojection_error", "trajectory"], freemocap2()
+    )),
+    "output_data": Made("freemocap", output),
+    "mediapipe_left_hand_3d_xyz.npy": Made("freemocap", in_room("left"), sides=("left",)),
+    "sides.npz": Made("arrays", lambda path: np.savez(path, left_hand=_LEFT, right_hand=_RIGHT)),
+    "T21-3.npy": Made("arrays", _RIGHT, sides=("right",)),
+    "T64.npy": Made("arrays", _NUMBERED, sides=("right",)),
+    "21-3.npy": Made("arrays", _RIGHT[0], [0], ("right",)),
+    "rows_of_points.csv": Made("arrays", ([*"xyz"], _RIGHT.reshape(-1, 3).tolist()), sides=("right",)),
+    "T2-21-3.npy": Made("arrays", np.stack([_LEFT, _RIGHT], axis=1)),
+    "numbers.txt": Made("arrays", lambda path: np.savetxt(path, _NUMBERED), sides=("right",)),
+    "a.pkl": Made("arrays", lambda path: path.write_bytes(pickle.dumps([*_LEFT])), sides=("left",)),
+    "a.pt": Made("arrays", lambda path: path.write_bytes(_TORCH), sides=("left",)),
+}  # fmt: skip
+"""Files and folders by their names"""

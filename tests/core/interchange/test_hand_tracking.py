@@ -14,7 +14,15 @@ from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.data import forward_kinematics
-from tests.core.interchange.known_hands import FRAMES, HANDS, assert_same_hand, hand_of, read, says
+from tests.core.interchange.known_hands import (
+    FRAMES,
+    HANDS,
+    assert_same_hand,
+    hand_of,
+    joints_turned,
+    read,
+    says,
+)
 from tests.core.interchange.point_files import saved
 
 FLIP = np.diag([1.0, -1.0, -1.0])
@@ -32,7 +40,7 @@ WEBXR = [
 def joints(side: Side) -> tuple[np.ndarray, np.ndarray]:
     """Where a headset has the 25 joints (T, 25, 3), metres, y up, and their axes (T, 25, 3, 3)."""
     hand, shaped = HANDS[side], load_model(None, side).shaped()
-    turned, places = forward_kinematics(hand.matrices, shaped.joints)
+    turned, places = forward_kinematics(joints_turned(hand), shaped.joints)
     last = [FINGER_JOINTS[finger][2] for finger in FINGERS]
     tips = places[:, last] + (turned[:, last] @ (shaped.tips - shaped.joints[last])[..., None])[..., 0]
     sign = np.array([-1.0 if side == "left" else 1.0, 1.0, 1.0])

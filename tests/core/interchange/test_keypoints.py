@@ -20,20 +20,8 @@ from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.writers import writer_for
 from tests.core.interchange import point_files as files
 from tests.core.interchange.known_hands import read, says
-from tests.core.interchange.point_files import (
-    NAMES,
-    PICTURES,
-    SIZE,
-    TOLD,
-    landmarks,
-    named,
-    saved,
-    table,
-    wide,
-)
+from tests.core.interchange.point_files import ALL, MADE, SIZE, TOLD, landmarks, saved, table, wide
 from tests.told import FRAMES, HEIGHT, WIDTH
-
-ALL = list(range(FRAMES))
 
 
 def seen_in(recording: Recording) -> SeenHands:
@@ -46,55 +34,93 @@ def sides_in(recording: Recording) -> str:
     return "".join("LR"[side] for side in seen_in(recording).side)
 
 
-def worst(recording: Recording, rows: list[int] = ALL) -> float:
-    """The largest error in pixels, or in millimetres of the world; every hand must be of its side."""
-    seen = seen_in(recording)
+def worst(recording: Recording, rows: list[int] = ALL, sides: tuple[Side, ...] = SIDES) -> float:
+    """The largest error of the hands in those rows of the known ones: pixels, or millimetres in space and of
+    the world."""
+    if recording.seen is None:
+        assert {hand.side for hand in recording.points} == set(sides)
+        off = [np.abs(hand.points - TOLD.points[hand.side][rows]) for hand in recording.points]
+        assert all(np.isfinite(each).any(axis=(1, 2)).sum() >= len(rows) - 1 for each in off)
+        return 1000.0 * float(np.nanmax(off))
+    seen, errors = recording.seen, []
     by = SIZE if recording.size == RELATIVE else np.ones(2)
-    errors = []
-    for side in SIDES:
-        mine = seen.side == SIDES.index(side)
-        assert seen.row[mine].tolist() == list(range(len(rows)))
-        errors.append(np.abs(seen.keypoints[mine] * by - TOLD.pixels[side][rows]).max())
-        if np.isfinite(seen.points).all():
-            errors.append(np.abs(seen.points[mine, :, 2] * by[0] - TOLD.depth[side][rows]).max())
-        if np.isfinite(seen.world).all():
-            errors.append(1000.0 * np.abs(seen.world[mine] - TOLD.world[side][rows]).max())
+    assert set(seen.side) == {SIDES.index(side) for side in sides}
+    for side in sides:
+        mine = seen.select(seen.side == SIDES.index(side))
+        assert mine.row.tolist() == list(range(len(rows)))
+        errors.append(np.abs(mine.keypoints * by - TOLD.pixels[side][rows]).max())
+        errors.append(np.nanmax(np.abs(mine.points[..., 2] * by[0] - TOLD.depth[side][rows]), initial=0.0))
+        errors.append(1000.0 * np.nanmax(np.abs(mine.world - TOLD.world[side][rows]), initial=0.0))
     return float(max(errors))
 
 
-def worst_in_space(recording: Recording, away: Any = 0.0) -> float:
-    """The largest error in metres of hands that lie `away` from where they were."""
-    assert [hand.side for hand in recording.points] == list(SIDES)
-    return float(max(np.abs(hand.points - away - TOLD.points[hand.side]).max() for hand in recording.points))
+# Every layout
 
 
-def of_mmpose(points: Any, scores: Any) -> list[Any]:
-    return [{"frame_id": 0, "instances": [{"keypoints": points, "keypoint_scores": scores}]}]
+@pytest.mark.parametrize("name", MADE)
+def test_hands_come_back(tmp_path: Path, name: str) -> None:
+    made, path = MADE[name], files.written(tmp_path, name)
+    assert is_recording(path)
+    recording = read(path)
+    assert recording.format == made.reader
+    assert len(recording.frame_numbers) == len(made.rows)
+    assert worst(recording, made.rows, made.sides) < 0.01
+    fps = {"aria": 10.0, "trc": 50.0, "leap": 100.0}.get(made.reader, 24.0)
+    assert recording.fps == pytest.approx(fps)
+    if made.reader in ("leap", "freemocap"):
+        assert all(hand.on_joints == (made.reader == "leap") for hand in recording.points)
+    unsided = name in ("both_numbered.csv", "deeplabcut.csv", "points.csv", "metres.json") or (
+        made.reader == "arrays" and name != "sides.npz"
+    )
+    assert says(recording, "which hand it is is not told") == unsided
+    annotations = made.reader == "coco-wholebody"
+    if annotations or name in ("right_hand.csv", "trajectories.csv", "freemocap2.csv"):
+        first = 100 if annotations else 0
+        assert recording.frame_numbers.tolist() == [first + i for i in ALL]
+    assert (recording.size == (WIDTH, HEIGHT)) == (annotations or name == "a.pose")
+
+
+def test_pose_files_of_other_versions_and_broken_ones(tmp_path: Path) -> None:
+    files.pose_format(path := tmp_path / "a.pose", 0.2)
+    assert worst(read(path)) < 0.01
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(InputError, match="breaks off"):
+        read(path)
+    files.pose_format(path, 0.0)
+    with pytest.raises(InputError, match=r"version 0\.0"):
+        read(path)
+
+
+def test_the_landmark_that_a_layout_lacks_is_missing(tmp_path: Path) -> None:
+    """Aria has no root of the thumb; in row 2 the glasses saw no right hand."""
+    left, right = read(files.aria(tmp_path / "a.csv")).points
+    assert np.flatnonzero(np.isnan(left.points).all(axis=(0, 2))).tolist() == [1]
+    assert np.flatnonzero(~right.present).tolist() == [2]
 
 
 # Frames of JSON
 
 
-@pytest.mark.parametrize("layout", PICTURES)
+@pytest.mark.parametrize("layout", [files.tasks, files.openpose, files.halpe, files.apple])
 def test_frames(tmp_path: Path, layout: Callable[[int], Any]) -> None:
     """In a list, with numbers and times beside a size, by their numbers, in lines, and in a folder."""
     frames, odd = [layout(i) for i in ALL], list(range(3, 3 + 2 * FRAMES, 2))
     told = [{**f, "frame": n, "frame_id": n, "timestamp": 40.0 * n} for n, f in zip(odd, frames, strict=True)]
     lines = tmp_path / "lines.jsonl"
     lines.write_text("\n".join(json.dumps({"frame_id": i, **frames[i]}) for i in ALL))
-    numbered = layout in (files.mmpose, files.halpe)
+    twice = list(range(2 * FRAMES))
     for path, numbers in (
-        (saved(tmp_path / "list.json", frames), [i + (not numbered) for i in ALL]),
+        (saved(tmp_path / "list.json", frames), [i + (layout is not files.halpe) for i in ALL]),
+        (saved(tmp_path / "more.json", {str(i): frames[i % FRAMES] for i in twice}), twice),
         (saved(tmp_path / "told.json", {"width": WIDTH, "height": HEIGHT, "frames": told}), odd),
         (saved(tmp_path / "by_number.json", {str(i): frames[i] for i in ALL}), ALL),
         (lines, ALL),
-        (files.folder(tmp_path / "hands", frames, "frame_{:05d}.json"), ALL),
+        (files.folder_of(tmp_path / "hands", frames, "frame_{:05d}.json"), ALL),
     ):
         assert is_recording(path)
         recording = read(path)
-        assert (recording.format, recording.frame_numbers.tolist()) == (PICTURES[layout], numbers)
-        assert worst(recording) < 0.01
-        assert not says(recording, "--hands")
+        assert recording.frame_numbers.tolist() == numbers
+        assert worst(recording, [*ALL, *ALL][: len(numbers)]) < 0.01
         if numbers is odd:
             assert (recording.size, recording.fps) == ((WIDTH, HEIGHT), 25.0)
 
@@ -102,28 +128,17 @@ def test_frames(tmp_path: Path, layout: Callable[[int], Any]) -> None:
 @pytest.mark.parametrize("empty", [None, {"landmarks": [], "worldLandmarks": [], "handedness": []}])
 def test_frames_without_hands_stay(tmp_path: Path, empty: Any) -> None:
     assert seen_in(read(saved(tmp_path / "a.json", [empty, empty, files.tasks(0)]))).row.tolist() == [2, 2]
-    folder = files.folder(tmp_path / "hands", [empty or {}, empty or {}, files.tasks(0)])
+    folder = files.folder_of(tmp_path / "hands", [empty or {}, empty or {}, files.tasks(0)])
     assert seen_in(read(folder)).row.tolist() == [2, 2]
-
-
-def test_one_frame_and_one_hand(tmp_path: Path) -> None:
-    path = saved(tmp_path / "photo.json", files.tasks(0))
-    assert sides_in(read(path)) == "LR"
-    recording = read(saved(path, files.points(landmarks("left", 3))))
-    assert sides_in(recording) == "L"
-    assert says(recording, "a left hand, as its fingers bend")
-    picture = saved(path, {"meta_info": {}, "instance_info": [files.instance(2)]})
-    assert worst(read(picture), [2]) < 0.01
-    demo = saved(path, {"instance_info": [files.mmpose(i) for i in ALL]})
-    assert worst(read(demo)) < 0.01
-    inferencer = files.folder(
-        tmp_path / "predictions", [[], *([files.instance(i)] for i in ALL)], "f_{:04d}.json"
-    )
+    predictions = [[], *([files.instance(i)] for i in ALL)]
+    inferencer = files.folder_of(tmp_path / "predictions", predictions, "f_{:04d}.json")
     assert seen_in(read(inferencer)).row.tolist() == [i + 1 for i in ALL for _ in SIDES]
 
 
 def test_files_of_a_folder_by_their_names(tmp_path: Path) -> None:
-    path = files.folder(tmp_path / "op", [files.openpose(i) for i in range(3)], "shot{:04d}_keypoints.json")
+    path = files.folder_of(
+        tmp_path / "op", [files.openpose(i) for i in range(3)], "shot{:04d}_keypoints.json"
+    )
     (path / "shot0001_keypoints.json").unlink()
     assert read(path).frame_numbers.tolist() == [0, 2]
     assert read(path / "shot0002_keypoints.json").frame_numbers.tolist() == [2]
@@ -208,7 +223,7 @@ def test_zeros_are_missing_and_hidden_hands_are_left_out(tmp_path: Path) -> None
     left[[4, 8]], left[12, 0] = 0.0, np.nan
     human["hand_left_keypoints_2d"] = left.ravel().tolist()
     human["hand_right_keypoints_2d"] = files.triples(TOLD.pixels["right"][0], 0.04)
-    recording = read(files.folder(tmp_path / "op", [{"people": [human]}, {"people": []}]))
+    recording = read(files.folder_of(tmp_path / "op", [{"people": [human]}, {"people": []}]))
     seen = seen_in(recording)
     assert sides_in(recording) == "L"
     assert np.flatnonzero(np.isnan(seen.keypoints[0, :, 0])).tolist() == [4, 8, 12]
@@ -243,7 +258,7 @@ def test_scales_of_openpose_are_noticed(tmp_path: Path, low: float, said: str, c
     human = {"hand_left_keypoints_2d": hand.ravel().tolist(), "hand_right_keypoints_2d": []}
     if not corner:
         human["pose_keypoints_2d"] = files.triples(np.array([[low + 0.1, low + 0.1]]))
-    recording = read(files.folder(tmp_path / "op", [{"people": [human]}]))
+    recording = read(files.folder_of(tmp_path / "op", [{"people": [human]}]))
     assert recording.size == RELATIVE
     assert says(recording, said)
     assert np.nanmax(np.abs(seen_in(recording).keypoints[0] * SIZE - pixels)) < 0.01
@@ -264,50 +279,6 @@ def test_pixels_with_a_depth_in_parts_of_the_width(tmp_path: Path) -> None:
 
 
 # Tables
-
-SIDED = [f"{side}_hand_{name.lower()}" for side in SIDES for name in NAMES]
-BOTH = [[*landmarks("left", i).ravel(), *landmarks("right", i).ravel()] for i in ALL]
-EACH = [[i, side, k, *landmarks(side, i)[k]] for i in ALL for side in SIDES for k in range(21)]
-BODY = [[i, kind, k, 0.4, 0.4, 0.0] for i in ALL for kind in ("face", "pose") for k in range(30)]
-BODY += [[i, f"{side}_hand", *rest] for i, side, *rest in EACH]
-APPLES = [
-    [i, side, n, *row, 0.9]
-    for i in ALL
-    for side in SIDES
-    for n, row in zip(files.APPLE_CODES, files.from_below(side, i), strict=True)
-]
-TABLES: dict[str, tuple[list[str], list[list[Any]]]] = {
-    "rows from 0": (["frame", "handedness", *wide()], files.rows_of_hands()),
-    "rows from 1": (["frame", "handedness", *wide(1)], files.rows_of_hands()),
-    "rows by names": (["frame_number", "hand", *named("xyz", *NAMES)], files.rows_of_hands()),
-    "both by names": (["frame", *named("xyz", *SIDED)], [[i, *row] for i, row in enumerate(BOTH)]),
-    "both by numbers": (
-        ["frame", *(f"hand{h}_landmark{i}_{axis}" for h in (0, 1) for i in range(21) for axis in "xyz")],
-        [[i, *row] for i, row in enumerate(BOTH)],
-    ),
-    "points": (
-        ["Frame", "Hand", "Landmark", "X", "Y", "Z"],
-        [[i, int(s == "right"), *rest] for i, s, *rest in EACH],
-    ),
-    # As in the data of Google's sign language competition.
-    "points beside a body": (
-        ["frame", "row_id", "type", "landmark_index", "x", "y", "z"],
-        [[i, f"{i}-{kind}-{k}", kind, k, *rest] for i, kind, k, *rest in BODY],
-    ),
-    "Apple's rows": (
-        ["frame", "chirality", *named("xy", *files.APPLE_NAMES)], files.rows_of_hands(files.from_below)
-    ),
-    "Apple's points": (["frame", "hand", "joint", "x", "y", "confidence"], APPLES),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", TABLES)
-def test_tables(tmp_path: Path, name: str) -> None:
-    recording = read(table(tmp_path / "a.csv", *TABLES[name]))
-    assert recording.format == ("apple-vision" if "Apple" in name else "mediapipe")
-    assert recording.frame_numbers.tolist() == ALL
-    assert worst(recording) < 0.01
-    assert says(recording, "as its fingers bend") == (name in ("both by numbers", "points"))
 
 
 @pytest.mark.parametrize("written", ["{:.6f}", "{:.18e}", "{}.0", "frame_2.1_{:05d}.png", "{:04d}"])
@@ -333,95 +304,37 @@ def test_rows_without_numbers_and_missing_cells(tmp_path: Path) -> None:
 # Hands in space
 
 
-AWAY = np.array([0.2, -1.1, -0.9])
-"""Metres that FreeMoCap's room lies from the camera"""
-
-
-def output(folder: Path, **hands: np.ndarray) -> Path:
-    """FreeMoCap's folder, with these hands' arrays in millimetres."""
-    path = folder / "output_data"
-    path.mkdir(exist_ok=True)
-    for side in SIDES:
-        np.save(path / f"mediapipe_{side}_hand_3d_xyz.npy", hands.get(side, files.in_room(side)))
-    np.save(path / "mediapipe_body_3d_xyz.npy", np.zeros((FRAMES, 33, 3)))
-    return path
-
-
 def test_arrays_of_freemocap(tmp_path: Path) -> None:
-    folder = output(tmp_path)
-    for path in (folder, tmp_path):
-        recording = read(path)
-        assert (recording.format, recording.frame_numbers.tolist()) == ("freemocap", ALL)
-        assert worst_in_space(recording, AWAY) < 1e-9
-        assert not any(hand.on_joints for hand in recording.points)
-    assert [hand.side for hand in read(folder / "mediapipe_left_hand_3d_xyz.npy").points] == ["left"]
+    """The folder above them is read, too; the palm's length tells the unit, and fingers whose they are."""
     points = files.in_room("left")
     points[2], points[3, 8] = np.nan, np.nan
-    left = read(output(tmp_path, left=points)).points[0]
+    files.output(tmp_path / "output_data", left=points)
+    left = read(tmp_path).points[0]
     assert left.present.tolist() == [True, True, False, True, True, True]
     assert np.isnan(left.points[3, 8]).all()
-
-
-def test_units_and_sides_of_freemocap(tmp_path: Path) -> None:
-    """The palm's length tells the unit, and fingers whose they are."""
-    for unit, said in ((1.0, False), (0.1, "centimetres"), (0.001, "metres")):
-        recording = read(output(tmp_path, **{side: unit * files.in_room(side) for side in SIDES}))
-        assert worst_in_space(recording, AWAY) < 1e-9
-        assert says(
-            recording, f"its unit is {said}, by the palm's length" if said else "its unit is"
-        ) == bool(said)
-    swapped = read(output(tmp_path, **{side: files.in_room(other_side(side)) for side in SIDES}))
+    for unit, said in ((1.0, ""), (0.1, "centimetres"), (0.001, "metres")):
+        hands = {side: unit * files.in_room(side) for side in SIDES}
+        recording = read(files.output(tmp_path / "output_data", **hands))
+        assert worst(recording) < 1e-6
+        assert says(recording, "its unit is") == says(recording, f"its unit is {said}, by") == bool(said)
+    swapped = {side: files.in_room(other_side(side)) for side in SIDES}
+    swapped = read(files.output(tmp_path / "output_data", **swapped))
     assert says(swapped, "its left hand bends like a right one")
 
 
-def test_tables_of_freemocap(tmp_path: Path) -> None:
-    recording = read(files.trajectories(tmp_path / "a_by_trajectory.csv", *SIDES))
-    assert (recording.format, recording.frame_numbers.tolist()) == ("freemocap", ALL)
-    assert worst_in_space(recording, AWAY) < 1e-9
-    header = named("xyz", "body_nose", *(f"right_hand_{i:04d}" for i in range(21)))
-    rows = np.concatenate([np.full((FRAMES, 1, 3), 500.0), files.in_room("right")], axis=1)
-    right = read(table(tmp_path / "b.csv", header, rows.reshape(FRAMES, -1).tolist()))
-    assert [hand.side for hand in right.points] == ["right"]
-
-
-@pytest.mark.parametrize("made", [files.websocket, files.leapc])
-def test_frames_of_leap(tmp_path: Path, made: Callable[[], Any]) -> None:
-    recording = read(saved(tmp_path / "leap.json", made()))
-    assert recording.format == "leap"
-    assert recording.fps == pytest.approx(100.0)
-    assert worst_in_space(recording) < 1e-6
-    frames = made()
-    assert not says(recording, "several")
+def test_several_hands_of_a_side(tmp_path: Path) -> None:
+    """The first is taken; a frame may have none."""
+    frames = files.websocket()
     frames[1]["hands"] += [{**frames[1]["hands"][1], "type": "left"}] * 2
     twice = read(saved(tmp_path / "leap.json", frames))
     assert "1 frame has several left hands: the first was taken" in twice.assumed
-    assert worst_in_space(twice) < 1e-6
+    assert worst(twice) < 1e-3
     frames[1]["hands"] = []
-    (tmp_path / "leap.jsonl").write_text("\n".join(map(json.dumps, frames)), encoding="utf-8")
-    assert read(tmp_path / "leap.jsonl").points[0].present.tolist() == [True, False, *[True] * 4]
-
-
-@pytest.mark.parametrize("layout", ["interhand", "aria", "xr-points", "trc", "arrays"])
-def test_layouts_in_space(tmp_path: Path, layout: str) -> None:
-    both = np.stack([TOLD.points[side] for side in SIDES], axis=1)
-    np.savez(tmp_path / "a.npz", **{f"{side}_hand": both[:, i] for i, side in enumerate(SIDES)})
-    path = {
-        "interhand": lambda: saved(tmp_path / "a.json", files.interhand()),
-        "aria": lambda: files.aria(tmp_path / "a.csv"),
-        "xr-points": lambda: saved(tmp_path / "a.json", [files.headset(i) for i in ALL]),
-        "trc": lambda: files.trc(tmp_path / "a.trc"),
-        "arrays": lambda: tmp_path / "a.npz",
-    }[layout]()
-    recording = read(path)
-    assert recording.format == layout
-    assert [hand.side for hand in sorted(recording.points, key=lambda hand: hand.side)] == list(SIDES)
-    for hand in recording.points:
-        there = hand.present
-        assert there.tolist() == [layout != "aria" or hand.side == "left" or i != 2 for i in ALL]
-        off = np.abs(hand.points - TOLD.points[hand.side])[there]
-        assert np.nanmax(off) < 1e-6
-        assert np.isnan(off).any() == (layout == "aria")
-    assert recording.fps == {"aria": pytest.approx(10.0), "trc": pytest.approx(50.0)}.get(layout, 24.0)
+    assert read(saved(tmp_path / "leap.json", frames)).points[0].present.tolist() == [
+        True,
+        False,
+        *[True] * 4,
+    ]
 
 
 def test_a_trc_without_hands_is_named(tmp_path: Path) -> None:
@@ -429,87 +342,6 @@ def test_a_trc_without_hands_is_named(tmp_path: Path) -> None:
         InputError, match=r"OpenSim's markers, none of its 3 markers \(Hip, LWrist, Nose\) is a point"
     ):
         read(files.trc(tmp_path / "a.trc", "Hip", "LWrist", "Nose"))
-
-
-def freemocap2(path: Path, *sides: Side) -> Path:
-    """A row for each point, of the body, too, and of the rigid bones' trajectories."""
-    header = ["frame", "keypoint", "x", "y", "z", "model", "reprojection_error", "trajectory"]
-    rows: list[list[Any]] = []
-    for off, kind in ((0.0, "3d_xyz"), (50.0, "rigid_3d_xyz")):
-        for i in ALL:
-            rows.append([i, "right_wrist", 1, 2, 3, "mediapipe.body", 1.0, kind])
-            for side in sides:
-                for name, place in zip(NAMES, files.in_room(side)[i] + off, strict=True):
-                    rows.append(
-                        [i, f"{side}_hand_{name.lower()}", *place, f"mediapipe.{side}_hand", 1.0, kind]
-                    )
-    return table(path, header, rows)
-
-
-def test_rows_of_freemocap_2(tmp_path: Path) -> None:
-    recording = read(freemocap2(tmp_path / "a.csv", *SIDES))
-    assert recording.format == "freemocap"
-    assert worst_in_space(recording, AWAY) < 1e-9
-
-
-@pytest.mark.parametrize(
-    "made",
-    [
-        *(
-            lambda i, count=count: {
-                "people": [{"pose_keypoints_2d": np.ravel(np.column_stack([
-                    files.instance(i, count)["keypoints"], np.full(count, 0.9)
-                ])).tolist(), "hand_left_keypoints_2d": []}]
-            }
-            for count in (133, 136)
-        ),
-        lambda i: {
-            "people": [{"pose_keypoints_2d": [
-                *files.triples(np.full((25, 2), 7.0)),
-                *(n for side in SIDES for n in files.triples(TOLD.pixels[side][i])),
-            ]}]
-        },
-    ],
-    ids=["133", "136", "25+21+21"],
-)  # fmt: skip
-def test_hands_within_a_whole_body(tmp_path: Path, made: Callable[[int], Any]) -> None:
-    recording = read(files.folder(tmp_path / "op", [made(i) for i in ALL]))
-    assert recording.format == "openpose"
-    assert worst(recording) < 0.01
-
-
-@pytest.mark.parametrize("count", [133, 136])
-def test_lists_of_persons(tmp_path: Path, count: int) -> None:
-    recording = read(saved(tmp_path / "a.json", files.alphapose(count)))
-    assert (recording.format, recording.frame_numbers.tolist()) == ("alphapose", ALL)
-    assert worst(recording) < 0.01
-    second = read(saved(tmp_path / "a.json", files.alphapose(count, count)), person=2)
-    assert worst(second) < 0.01
-
-
-@pytest.mark.parametrize("halpe", [False, True])
-def test_annotations_of_coco(tmp_path: Path, halpe: bool) -> None:
-    """Halpe's have hands among a person's 136 points."""
-    content = files.annotations()
-    if halpe:
-        content["annotations"] = [each | {"image_id": 100 + i} for i, each in enumerate(files.alphapose(136))]
-    recording = read(saved(tmp_path / "a.json", content))
-    assert (recording.format, recording.size) == ("coco-wholebody", (WIDTH, HEIGHT))
-    assert recording.frame_numbers.tolist() == [100 + i for i in ALL]
-    assert worst(recording) < 0.01
-
-
-def test_world_points_of_tensorflow(tmp_path: Path) -> None:
-    def hand(side: Side, i: int) -> dict[str, Any]:
-        kinds = {"keypoints": TOLD.pixels[side][i], "keypoints3D": TOLD.world[side][i]}
-        return {"handedness": side.capitalize(), "score": 0.9} | {
-            kind: [{"name": n.lower(), **p} for n, p in zip(NAMES, files.points(values), strict=True)]
-            for kind, values in kinds.items()
-        }
-
-    recording = read(saved(tmp_path / "a.json", [[hand(side, i) for side in SIDES] for i in ALL]))
-    assert np.isfinite(seen_in(recording).world).all()
-    assert worst(recording) < 0.01
 
 
 # Orders
@@ -547,22 +379,6 @@ def test_bones_tell_the_order(tmp_path: Path, order: str, kind: str) -> None:
         assert np.nanmax(off) < 0.01
 
 
-@pytest.mark.parametrize("shape", ["T21-3", "T63", "T64", "21-3", "T2-21-3", "text"])
-def test_arrays_of_points(tmp_path: Path, shape: str) -> None:
-    right = TOLD.points["right"]
-    both = np.stack([TOLD.points[side] for side in SIDES], axis=1)
-    rows = np.column_stack([ALL, 1000.0 * right.reshape(FRAMES, -1)])
-    arrays = {"T21-3": right, "T63": right.reshape(FRAMES, -1), "21-3": right[0], "T2-21-3": both}
-    path = tmp_path / ("a.txt" if shape == "text" else "a.npy")
-    (np.savetxt if shape == "text" else np.save)(path, arrays.get(shape, rows))
-    recording = read(path)
-    assert [hand.side for hand in recording.points] == (
-        ["left", "right"] if shape == "T2-21-3" else ["right"]
-    )
-    count = 1 if shape == "21-3" else FRAMES
-    assert np.abs(recording.points[-1].points - right[:count]).max() < 1e-6
-
-
 def test_which_of_both_hands_comes_first(tmp_path: Path) -> None:
     """InterHand2.6M's right hand does."""
     order = SHUFFLED["interhand"]
@@ -581,21 +397,6 @@ def test_several_arrays_are_not_mixed(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", first=TOLD.points["left"], second=TOLD.points["right"])
     with pytest.raises(InputError, match=r"several arrays of points \(first, second\)"):
         read(tmp_path / "a.npz")
-
-
-def test_metres_before_a_camera_are_no_parts_of_a_picture(tmp_path: Path) -> None:
-    path = saved(tmp_path / "xyz.json", TOLD.points["left"].tolist())
-    (hand,) = read(path).points
-    assert (hand.side, np.abs(hand.points - TOLD.points["left"]).max() < 1e-6) == ("left", True)
-
-
-def test_hands_in_lines_of_their_own_belong_to_their_frame(tmp_path: Path) -> None:
-    lines = [
-        {"frame": i, "side": side, "landmarks": landmarks(side, i).tolist()} for i in ALL for side in SIDES
-    ]
-    recording = read(saved(tmp_path / "a.json", lines))
-    assert recording.frame_numbers.tolist() == ALL
-    assert worst(recording) < 0.01
 
 
 @pytest.mark.parametrize("count", [20, 21])
@@ -685,7 +486,7 @@ def test_our_own_comes_back(tmp_path: Path, name: str, reader: str, left_out: li
         assert worst(recording) < (0.01 if reader == "mediapipe" else 1e-3)
         assert np.allclose(seen_in(recording).confidence, 0.9 if reader == "points-table" else 1.0)
     else:
-        assert worst_in_space(recording) < 1e-6
+        assert worst(recording) < 1e-3
         assert all(hand.on_joints for hand in recording.points)
     assert [phrase for phrase in recording.assumed if "as the bones tell: mediapipe" not in phrase] == []
 
@@ -696,7 +497,7 @@ def test_our_own_comes_back(tmp_path: Path, name: str, reader: str, left_out: li
 def test_keypoints_alone_are_fitted_by_the_size_that_is_told(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    path = files.folder(tmp_path / "op", [files.openpose(i) for i in ALL])
+    path = files.folder_of(tmp_path / "op", [files.openpose(i) for i in ALL])
     take = capture(path, picture_size=(WIDTH, HEIGHT), fps=25)
     assert (take.width, take.height, take.source.kind) == (WIDTH, HEIGHT, "data")
     assert take.frame_numbers.tolist() == ALL
@@ -760,7 +561,7 @@ WRONG: list[tuple[str, Any, str]] = [
     ("openpose", of_left_hand([1.0, 2.0, 0.5] * 20), "hands have 20 points, and the order mediapipe has 21"),
     ("openpose", of_left_hand([0.0] * 63), "at least 6 points"),
     ("openpose", of_left_hand([1e7, 1.0, 0.5] * 21), "a point lies beyond"),
-    ("mmpose", of_mmpose([[1.0, 2.0]] * 17, [0.9] * 17), "a hand model writes some"),
+    ("mmpose", [{"keypoints": [[1.0, 2.0]] * 17, "keypoint_scores": [0.9] * 17}], "a hand model writes some"),
     ("mmpose", [files.mmpose(0), {"frame_id": 0, "instances": []}], "frame 0 is there twice"),
     ("mediapipe", of_side(files.points(np.ones((20, 3)))), "its 20 are cannot be told; --order"),
     ("mediapipe", [{"landmarks": [], "handedness": []}], "none of its frames has a hand"),
@@ -813,6 +614,6 @@ def test_tables_that_are_wrong(tmp_path: Path, header: list[str], rows: list[Any
     ],
 )
 def test_arrays_that_are_wrong(tmp_path: Path, array: np.ndarray, said: str) -> None:
-    folder = output(tmp_path, left=array)
+    folder = files.output(tmp_path / "output_data", left=array)
     with pytest.raises(InputError, match=said):
         read(folder if len(array) == 4 else folder / "mediapipe_left_hand_3d_xyz.npy")

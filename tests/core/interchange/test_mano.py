@@ -34,6 +34,7 @@ from tests.core.interchange.known_hands import (
     assert_same_turns,
     coefficients_of,
     hand_of,
+    joints_turned,
     known_hand,
     matrices,
     mean_of,
@@ -130,7 +131,7 @@ def dyn(path: Path, **changes: Any) -> Path:
 def alone(**changes: Any) -> dict[str, Any]:
     """The right hand's rows as HaMeR has them."""
     hand = HANDS["right"]
-    values = {"global_orient": hand.matrices[:, :1], "hand_pose": hand.matrices[:, 1:]}
+    values = {"global_orient": joints_turned(hand)[:, :1], "hand_pose": joints_turned(hand)[:, 1:]}
     return {**values, "right": np.ones(FRAMES), "pred_cam_t_full": hand.transl, **changes}
 
 
@@ -220,8 +221,8 @@ def test_persons(tmp_path: Path) -> None:
     for frame in range(FRAMES):
         rows = [(first, first.transl), (second, away)][:: 1 if frame % 2 else -1]
         content = {
-            "global_orient": np.stack([hand.matrices[frame, :1] for hand, _ in rows]),
-            "hand_pose": np.stack([hand.matrices[frame, 1:] for hand, _ in rows]),
+            "global_orient": np.stack([joints_turned(hand)[frame, :1] for hand, _ in rows]),
+            "hand_pose": np.stack([joints_turned(hand)[frame, 1:] for hand, _ in rows]),
             "pred_cam_t_full": np.stack([place[frame] for _, place in rows]),
             "right": np.ones(2),
         }
@@ -484,7 +485,7 @@ def hawor(path: Path, **changes: Any) -> Path:
 
 WRONG: list[tuple[Callable[..., Path], dict[str, Any], str]] = [
     (hamer, {"right": np.ones(FRAMES - 1)}, "rows where 6 are expected"),
-    (hamer, {"global_orient": 2.0 * HANDS["right"].matrices[:, :1]}, "no rotations"),
+    (hamer, {"global_orient": 2.0 * joints_turned(HANDS["right"])[:, :1]}, "no rotations"),
     (hamer, {"hand_pose": np.degrees(HANDS["right"].hand_pose)}, "degrees"),
     (hamer, {"pred_cam_t_full": np.full((FRAMES, 3), 1e12)}, "beyond"),
     (hawor, {"init_trans": [[[0.0, 0.0, 1.0]]]}, "init_trans has 1 rows where 3 are expected"),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gzip
+import io
 import pickle
+import zipfile
 import zlib
 from pathlib import Path
 
@@ -62,6 +64,12 @@ def test_no_reader_but_the_last_takes_anothers_file(files: dict[str, list[Path]]
             assert takers == [kind] * (kind not in (arrays, last)), path.name
 
 
+def workbook() -> bytes:
+    with zipfile.ZipFile(stream := io.BytesIO(), "w") as archive:
+        archive.writestr("[Content_Types].xml", "<Types/>")
+    return stream.getvalue()
+
+
 @pytest.mark.parametrize(
     ("name", "content", "found"),
     [
@@ -69,6 +77,9 @@ def test_no_reader_but_the_last_takes_anothers_file(files: dict[str, list[Path]]
         ("a.csv", b"[]", "JSON with a list of 0"),
         ("a.csv", b"a,b\n1,2\n", "a table with the columns a, b"),
         ("a.csv", b"\0\1\2", "a text, and no table"),
+        ("a.csv", b"Format Version,1.23,Take Name,a\n", "Motive's table; write its markers as .trc"),
+        ("a.fbx", b"; FBX 7.3.0 project file", "an FBX; import it in Blender and export its hands as BVH"),
+        ("a.xlsx", workbook(), "a spreadsheet or another document; save its table as CSV"),
         ("a.txt", b"%PDF", "a text, .* it begins with '%PDF'"),
         ("a.json", b'{"landmarks": ["x"]}', "JSON with landmarks"),
         ("a.json", b'{"landmarks": [\n1,', "damaged JSON: it breaks off, or has .* in line 2"),

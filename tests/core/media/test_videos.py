@@ -55,6 +55,20 @@ def test_codecs(tmp_path, name, codec):
         open_media(tmp_path / name, FrameRange.parse("70-"))
 
 
+def test_colors_of_a_clip_with_as_many_as_pixels(tmp_path):
+    """Odd widths have padding behind each row."""
+    rgb = np.zeros((48, 61, 3), dtype=np.uint8)
+    rgb[:, :20], rgb[:, 20:40], rgb[:, 40:] = (200, 40, 30), (30, 180, 60), (20, 50, 220)
+    with av.open(str(tmp_path / "a.mkv"), "w") as output:
+        stream = output.add_stream("ffv1", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 61, 48, "yuv444p"
+        picture = av.VideoFrame.from_ndarray(rgb, format="rgb24")
+        output.mux([*stream.encode(picture), *stream.encode(None)])
+    (frame,) = open_media(tmp_path / "a.mkv").frames()
+    assert frame.rgb is not None
+    np.testing.assert_allclose(frame.rgb.astype(int), rgb, atol=4)
+
+
 def test_an_animated_webp(tmp_path):
     animation = cv2.Animation()
     animation.frames = [np.full((48, 64, 3), 8 + 4 * n, dtype=np.uint8) for n in (1, 5, 9, 13)]

@@ -9,13 +9,12 @@ import pytest
 
 from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat, swings
 from handfit_core.retarget.arms import (
     Capsules,
     CapturedArm,
     TargetArm,
     kept_outside,
-    swings,
     swivel_angles,
     target_arm,
 )

@@ -275,7 +275,7 @@ def test_slopes_are_those_of_differences(finger):
     turns, target = pinching("right", finger)[[25, 33]], character("right", 5)
     found = touches("right", turns)
     chains = contacts._Chains.of(target, source("right"), skins("right"), np.ones(15, dtype=bool))
-    problem = chains.problem(target.standing(turns), found, np.arange(2))
+    problem = chains.problem(target.standing(turns), found)
     x = rng.normal(scale=0.2, size=(2, len(chains.bones)))
     _, slopes = problem.forward(x, jacobian=True)
     every = by_each(lambda at: problem.forward(at)[0], x).reshape(*slopes.shape[:3], 2, -1)

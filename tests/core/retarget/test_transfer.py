@@ -28,7 +28,6 @@ from handfit_core.retarget.transfer import (
     globally,
     mirrored_turns,
     smoothed_travel,
-    swing,
     target_hand,
 )
 from tests.core.retarget.rigs import Built, add_hand, source
@@ -314,22 +313,6 @@ def test_where_fingers_end():
         names, frames = tuple(map(str, range(count))), np.tile(np.eye(3), (count, 1, 1))
         bones = Bones(names, np.array(parents), at, ends, frames, np.ones(count, dtype=bool))
         np.testing.assert_allclose(finger_end(bones, [0, 1, 2]), end)
-
-
-def test_swing():
-    rng = np.random.default_rng(11)
-    for start, end in rng.normal(size=(50, 2, 3)):
-        start, end = start / np.linalg.norm(start), end / np.linalg.norm(end)
-        # Beside opposite ones, any axis will do.
-        for to, near in ((end, 1e-9), (start, 1e-9), (-start, 1e-9), (-start + 1e-6 * end, 1e-5)):
-            to = to / np.linalg.norm(to)
-            turn = swing(start, to)
-            np.testing.assert_allclose(turn @ start, to, atol=near)
-            np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-9)
-            angle = np.linalg.norm(rotmat_to_rotvec(turn))
-            assert angle == pytest.approx(
-                np.arctan2(np.linalg.norm(np.cross(start, to)), start @ to), abs=1e-5
-            )
 
 
 def test_smoothed_travel():

@@ -286,8 +286,8 @@ def test_flat_and_names_that_differ_in_case_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--jobs", "0"], "at least 1 is needed"),
-        (["--timeout", "0"], "more than 0 seconds"),
+        (["--jobs", "0"], "jobs must be a number of at least 1"),
+        (["--timeout", "0"], "must be a number above 0"),
         (["--solver", "nosuch"], "nosuch"),
     ],
 )

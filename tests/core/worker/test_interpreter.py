@@ -25,6 +25,7 @@ from handfit_core.worker.interpreter import (
     worker_environment,
 )
 from tests.conftest import ROOT
+from tests.waiting import stopping, wait_for
 
 LAUNCHER = ROOT / "handfit_core" / "worker" / "launch.py"
 
@@ -61,8 +62,8 @@ def shared_folder(tmp_path, monkeypatch) -> Path:
 
 def test_a_python_without_packages_is_one_sentence(bare_python):
     said = r"Hände.*' cannot capture \(No module named .*\); choose a Python that has .* in \$HANDFIT_PYTHON"
-    with Worker(bare_python) as worker, pytest.raises(WorkerError, match=said):
-        worker.wait(worker.submit("check"), timeout=60)
+    with stopping(Worker(bare_python)) as worker, pytest.raises(WorkerError, match=said):
+        wait_for(worker, worker.submit("check"), timeout=60)
 
 
 def test_blenders_own_python_by_other_names(bare_python):
@@ -98,8 +99,8 @@ def test_only_blenders_own_python_is_told_of_blenders_packages(monkeypatch, bare
 
 def test_only_handfit_core_comes_from_the_shared_folder(shared_folder, own_python):
     """The others would fail to import there; the add-on's own modules beside the launcher stay out, too."""
-    with Worker(own_python) as worker:
-        done = worker.wait(worker.submit("check"), timeout=120)
+    with stopping(Worker(own_python)) as worker:
+        done = wait_for(worker, worker.submit("check"), timeout=120)
     assert "mein Python für Hände" in done["versions"].splitlines()[1]
     assert f"numpy {np.__version__}" in done["versions"]
 
@@ -114,8 +115,8 @@ def test_nothing_comes_from_the_folder_in_which_blender_was_started(tmp_path, mo
     (tmp_path / "handfit_core").mkdir()
     (tmp_path / "handfit_core" / "__init__.py").write_text("raise ImportError('somebody else')\n")
     monkeypatch.chdir(tmp_path)
-    with Worker() as worker, pytest.raises(InputError, match=r"nowhere\.jpg"):
-        worker.wait(worker.submit("probe", input=[str(tmp_path / "nowhere.jpg")]), timeout=60)
+    with stopping(Worker()) as worker, pytest.raises(InputError, match=r"nowhere\.jpg"):
+        wait_for(worker, worker.submit("probe", input=[str(tmp_path / "nowhere.jpg")]), timeout=60)
 
 
 def test_an_old_python_can_read_the_launcher_and_says_its_version():

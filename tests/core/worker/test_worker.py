@@ -28,6 +28,7 @@ from handfit_core.worker import client
 from handfit_core.worker.client import ENDED, Worker
 from handfit_core.worker.events import THREAD_VARIABLES, Event, WorkerError
 from tests.conftest import ROOT
+from tests.waiting import pid_of, said_by, stopping, wait_for
 
 FOLDER = ROOT / "samples" / "rendered_hand"
 PHOTO = str(FOLDER / "hand.0001.jpg")
@@ -39,7 +40,7 @@ PATIENCE = 120.0
 @pytest.fixture(scope="module")
 def warm() -> Iterator[Worker]:
     """One worker that all quiet tests share."""
-    with Worker(threads=1) as worker:
+    with stopping(Worker(threads=1)) as worker:
         yield worker
 
 
@@ -62,7 +63,7 @@ def start(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
 
 def ask(worker: Worker, kind: str, **fields: Any) -> Event:
-    return worker.wait(worker.submit(kind, **fields), timeout=PATIENCE)
+    return wait_for(worker, worker.submit(kind, **fields), timeout=PATIENCE)
 
 
 def capture_of(folder: Path, frames: str | None = None, **options: Any) -> dict[str, Any]:
@@ -72,7 +73,7 @@ def capture_of(folder: Path, frames: str | None = None, **options: Any) -> dict[
 def test_captures(warm: Worker, tmp_path: Path) -> None:
     before: list[Event] = []
     request = warm.submit("capture", **capture_of(tmp_path, "1-4", hands="right", hand_length=0.1))
-    done = warm.wait(request, before.append, timeout=PATIENCE)
+    done = wait_for(warm, request, before.append, timeout=PATIENCE)
     assert {event["id"] for event in before} == {request}
     for stage in ("detect", "fit"):
         counts = [(e["done"], e["total"]) for e in before if e.get("stage") == stage]
@@ -140,7 +141,7 @@ def test_adds_arms_to_takes(warm: Worker, tmp_path: Path) -> None:
     first, second = str(tmp_path / "a.npz"), str(tmp_path / "b.npz")
     ask(warm, "capture", **capture_of(tmp_path, "1-3"))
     before: list[Event] = []
-    done = warm.wait(warm.submit("arms", take=first, output=second), before.append, timeout=PATIENCE)
+    done = wait_for(warm, warm.submit("arms", take=first, output=second), before.append, timeout=PATIENCE)
     last = [(e["stage"], e["done"], e["total"]) for e in before if e["event"] == "progress"][-1]
     assert last == ("arms", 3, 3)
     (hand,) = done["hands"]
@@ -239,7 +240,7 @@ def test_prints_of_libraries_do_not_damage_the_messages(start: Any) -> None:
     )
     assert ask(worker, "check")["versions"] == ""
     for noise in ("printed", "written", "a child"):
-        assert noise in worker.details()
+        assert noise in said_by(worker)
 
 
 def test_threads_reach_the_libraries(start: Any) -> None:
@@ -259,13 +260,13 @@ def test_cancel_of_what_runs_and_what_waits(warm: Worker, tmp_path: Path) -> Non
     ask(warm, "warm")
     runs = warm.submit("capture", **capture_of(tmp_path))
     waits = warm.submit("capture", **{**capture_of(tmp_path), "output": str(tmp_path / "waits.npz")})
-    while not any(event.get("done") for event in warm.events(runs, wait=0.1)):
+    while not any(event.get("done") for event in warm.events(runs)):
         pass
     warm.cancel(waits)
     warm.cancel(runs)
     with pytest.raises(Cancelled, match="before it was begun"):
-        warm.wait(waits, timeout=PATIENCE)
-    done = warm.wait(runs, timeout=PATIENCE)
+        wait_for(warm, waits, timeout=PATIENCE)
+    done = wait_for(warm, runs, timeout=PATIENCE)
     assert done["stopped"]
     assert 1 <= done["frames"] < 24
     take = Take.load(tmp_path / "a.npz")
@@ -285,8 +286,8 @@ def test_ends_in_the_middle_of_a_capture_when_blender_dies(tmp_path: Path) -> No
         "from handfit_core.worker.client import Worker\n"
         "worker = Worker()\n"
         f"worker.submit('capture', **{asked!r})\n"
-        "while not any(e['event'] == 'progress' for e in worker.events(wait=0.1)): pass\n"
-        "print(worker.pid, flush=True); os._exit(1)\n"
+        "while not any(e['event'] == 'progress' for e in worker.events()): pass\n"
+        "print(worker.ready['pid'], flush=True); os._exit(1)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60)
     pid = int(done.stdout.split()[-1])
@@ -303,9 +304,9 @@ def test_ends_in_the_middle_of_a_capture_when_blender_dies(tmp_path: Path) -> No
 
 
 def test_stop_is_heard_in_the_middle_of_a_capture(tmp_path: Path) -> None:
-    with Worker() as worker:
+    with stopping(Worker()) as worker:
         request = worker.submit("capture", **capture_of(tmp_path, quality="best"))
-        while not any(event["event"] == "progress" for event in worker.events(wait=0.1)):
+        while not any(event["event"] == "progress" for event in worker.events()):
             pass
         worker.stop(5.0)
         assert [(e["id"], e["type"]) for e in worker.events() if e["event"] == "error"] == [
@@ -316,10 +317,9 @@ def test_stop_is_heard_in_the_middle_of_a_capture(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for other processes")
 def test_interrupting_blender_in_its_terminal_is_not_for_the_worker() -> None:
-    with Worker() as worker:
+    with stopping(Worker()) as worker:
         ask(worker, "probe", input=[PHOTO])
-        assert worker.pid is not None
-        os.kill(worker.pid, signal.SIGINT)
+        os.kill(pid_of(worker), signal.SIGINT)
         assert ask(worker, "probe", input=[PHOTO])["kind"] == "photo"
 
 

@@ -29,11 +29,6 @@ HEAVY = ("scipy", "cv2", "mediapipe", "av")
 OPEN_HAND_VERTICES = 1810
 LAST = 40
 """frame of the video up to which it is captured"""
-LOOKED_AT = (1, 12, 25)
-"""Scene frames in which exported motion is compared"""
-
-Places = dict[str, list[float]]
-"""Where bones are, by name"""
 
 
 def main() -> None:
@@ -48,7 +43,7 @@ def main() -> None:
     video(asked["video"])
     worker_has_what_blender_unpacked()
     refitted()
-    exported_and_imported(Path(asked["made"]))
+    exported(Path(asked["made"]))
     blender_stays_light()
     gone("disabled", bpy.ops.preferences.addon_disable, before, module=NAME)
     finished(bpy.ops.preferences.addon_enable, module=NAME)
@@ -159,51 +154,25 @@ def captured(source: str, **settings: Any) -> tuple[Any, list[float]]:
 
 def refitted() -> None:
     """Ten frames once more, with a point put elsewhere."""
-    name = hand().name
     bpy.context.scene.frame_set(12)
-    before = places(hand(), 12)
+    before = [bone.matrix.copy() for bone in hand().pose.bones]
     refiner = module("session.refiner").Refiner(hand())
     x, y = refiner.keyed_poses([refiner.row_at(12)]).landmarks[0][8] + [30.0, -20.0]
-    finished(bpy.ops.manient.move_keypoint, hand=name, frame=12, keypoint=8, x=x, y=y)
+    finished(bpy.ops.manient.move_keypoint, hand=hand().name, frame=12, keypoint=8, x=x, y=y)
     finished(bpy.ops.manient.refit_range, scope="CUSTOM", first=7, last=17)
-    assert 0.002 < farthest(before, places(hand(), 12)) < 0.1  # metres
+    bpy.context.scene.frame_set(12)
+    now = [bone.matrix.translation for bone in hand().pose.bones]
+    moved = [(there - then.translation).length for there, then in zip(now, before, strict=True)]
+    assert 0.002 < max(moved) < 0.1  # metres
 
 
-def exported_and_imported(folder: Path) -> None:
-    """Files for other programs, read with Blender's own importers into empty files of the same rate."""
-    motion = {frame: places(hand(), frame) for frame in LOOKED_AT}
-    kinds = {"fbx": (bpy.ops.import_scene.fbx, {"anim_offset": 0.0}), "glb": (bpy.ops.import_scene.gltf, {})}
-    for kind in kinds:
+def exported(folder: Path) -> None:
+    """Files for other programs; that these read the same motion is tested in tests/blender."""
+    for kind in ("fbx", "glb"):
         path = folder / f"hand.{kind}"
         finished(bpy.ops.manient.export_hand, filepath=str(path), file_format=kind)
         assert path.stat().st_size > 50_000
         assert b"MANO" not in path.read_bytes()
-    rate = bpy.context.scene.render.fps, bpy.context.scene.render.fps_base
-    for kind, (operator, options) in kinds.items():
-        empty_file()
-        bpy.context.scene.render.fps, bpy.context.scene.render.fps_base = rate
-        finished(operator, filepath=str(folder / f"hand.{kind}"), **options)
-        (found,) = [o for o in bpy.data.objects if o.type == "ARMATURE"]
-        off = max(farthest(then, places(found, frame)) for frame, then in motion.items())
-        assert off < 1e-3, (kind, off)  # metres
-        assert farthest(places(found, LOOKED_AT[0]), places(found, LOOKED_AT[-1])) > 5e-3
-        (mesh,) = [o for o in bpy.data.objects if o.type == "MESH" and o.find_armature() == found]
-        # glTF splits vertices where UVs have seams.
-        assert OPEN_HAND_VERTICES <= len(mesh.data.vertices) < 1.2 * OPEN_HAND_VERTICES
-
-
-def places(armature: bpy.types.Object, frame: int) -> Places:
-    """Where the bones begin, in metres of the world."""
-    bpy.context.scene.frame_set(frame)
-    seen = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    return {bone.name: list(seen.matrix_world @ bone.head) for bone in seen.pose.bones}
-
-
-def farthest(before: Places, after: Places) -> float:
-    """The largest distance between bones of the same name, of which there must be a whole hand."""
-    same = before.keys() & after.keys()
-    assert len(same) >= 16, (sorted(before), sorted(after))
-    return max(sum((a - b) ** 2 for a, b in zip(before[k], after[k], strict=True)) ** 0.5 for k in same)
 
 
 def worker_has_what_blender_unpacked() -> None:

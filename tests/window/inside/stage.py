@@ -199,15 +199,23 @@ class Stage:
         yield SETTLE
         assert self.region("UI").active_panel_category == tab, f"the sidebar has no tab {tab!r}"
 
-    def press_button(self, command: str, along: float = 0.4) -> Steps:
-        """Click a button of the sidebar that `find_button` finds."""
+    def press(self, command: str, along: float = 0.6) -> Steps:
+        """Click a button or field of the sidebar by `find_button`, the wheel turned until it shows."""
         yield from self.leave_popups()
-        place = yield from self.find_button(command, along)
-        assert place is not None, f"the sidebar has no {command}"
-        yield from self.click(place)
-        yield 0.5
+        down, up = ("WHEELDOWNMOUSE", 12), ("WHEELUPMOUSE", 60)
+        for wheel, notches in (("", 0), down, down, down, up, down):
+            yield from self.move_to(self.region("UI"))
+            for _ in range(notches):
+                yield from self.key(wheel)
+            yield 0.3
+            place = yield from self.find_button(command, along)
+            if place is not None:
+                yield from self.click(place)
+                yield 0.5
+                return
+        raise AssertionError(f"the sidebar has no {command}")
 
-    def find_button(self, command: str, along: float = 0.4) -> Steps:
+    def find_button(self, command: str, along: float = 0.6) -> Steps:
         """The place of a button of the sidebar whose tooltip's Python command begins so, or of the field of a
         property whose data path ends so; None without one.
 

@@ -21,9 +21,9 @@ def in_a_drawing(stage, source, truth):
     yield from stage.open_sidebar()
     yield from begun(stage, source, "right")
     yield from posed(stage, [(k, truth[k]) for k in ORDER])
-    line, _ = operator()._mode.status_line(viewport())
+    line, _ = operator().current.status_line(viewport())
     assert line == "6 points of the right hand placed"
-    landmarks = operator()._mode.refiner.shown_landmarks()
+    landmarks = operator().current.refiner.shown_landmarks()
     size = np.ptp(truth, axis=0).max()
     away = np.linalg.norm(landmarks - truth, axis=1)
     assert away[list(ORDER)].max() < 0.02 * size, "as near as the mouse's whole pixels are"
@@ -51,9 +51,9 @@ def by_keys(stage, source):
     assert not hands()
     yield from begun(stage, source, "left")
     yield from stage.click(in_window((450, 450)))
-    yield from stage.until(operator().running, 10.0, "Edit Keypoints")
+    yield from stage.until(lambda: operator().current is not None, 10.0, "Edit Keypoints")
     yield from warmed(stage)
-    wrist, knuckle = operator()._mode.refiner.shown_landmarks()[[0, 9]]
+    wrist, knuckle = operator().current.refiner.shown_landmarks()[[0, 9]]
     assert np.linalg.norm(wrist - (450, 450)) < 3
     np.testing.assert_allclose(knuckle - wrist, (0, -0.12 * 700), atol=1.0)
     yield from ended(stage)
@@ -66,7 +66,7 @@ def posed(stage, points):
     (_, wrist), (_, knuckle), *others = points
     path = [in_window(np.add(wrist, np.subtract(knuckle, wrist) * t)) for t in (0.0, 0.3, 0.7, 1.0)]
     yield from stage.drag(path, pause=0.1)
-    yield from stage.until(operator().running, 10.0, "Edit Keypoints")
+    yield from stage.until(lambda: operator().current is not None, 10.0, "Edit Keypoints")
     yield from warmed(stage)
     yield from stage.screenshot("add-laid")
     shapes = [mesh_of(hands()[0])]
@@ -94,12 +94,12 @@ def begun(stage, source, side):
 
 
 def mode():
-    return part("operators.add_hand")._mode
+    return part("operators.add_hand").MANIENT_OT_add_hand.current
 
 
 def in_window(place) -> tuple[float, float]:
     """Pixels of the picture -> of the window, in Add Hand and in Edit Keypoints."""
-    now = mode() or operator()._mode
+    now = mode() or operator().current
     there = part("operators.modes.view").viewport_at(bpy.context, now.view.address)
     x, y, w = now.matrix(there) @ [*place, 1.0]
     return float(x / w + there.region.x), float(y / w + there.region.y)

@@ -146,14 +146,14 @@ def whole_picture(stage, source):
     _zoom_into(view)
     view.view_perspective = "PERSP"
     bpy.context.view_layer.objects.active = hands()[-1]
-    operator = part("operators.edit_keypoints")
+    operator = part("operators.edit_keypoints").MANIENT_OT_edit_keypoints
     yield from stage.invoke("manient.edit_keypoints")
-    yield from stage.until(operator.running, 5.0, "the mode to begin")
+    yield from stage.until(lambda: operator.current is not None, 5.0, "the mode to begin")
     yield from stage.key("HOME", shift=True)
     yield 0.5
     _assert_framed(stage, "in Edit Keypoints")
     yield from stage.key("ESC")
-    yield from stage.until(lambda: not operator.running(), 5.0, "the mode to end")
+    yield from stage.until(lambda: operator.current is None, 5.0, "the mode to end")
 
     stage.area().spaces[0].show_region_ui = False  # it is as wide as a quarter of a small window
     with stage.override():

@@ -187,7 +187,7 @@ def queued(stage, sources):
     yield 0.3
     assert _shown() == ["second"], "the last one is active"
     yield from stage.open_sidebar()
-    row = yield from stage.find_button(".manient_capture", along=0.6)
+    row = yield from stage.find_button(".manient_capture")
     yield from stage.click(row)
     yield 0.5
     (first,) = _shown()
@@ -325,7 +325,7 @@ def arms_added(stage, source):
     yield from capture(stage, source)
     yield from stage.open_sidebar(EDIT_TAB)
     before = summary()
-    yield from stage.press_button("bpy.ops.manient.add_arms(")
+    yield from stage.press("bpy.ops.manient.add_arms(", along=0.4)
     yield from stage.until(lambda: all(_arms()), 60.0, "arms, or why there are none")
     found = _arms()
     yield from stage.screenshot("arms")

@@ -29,7 +29,7 @@ def applied(stage, take):
         assert (table.hand, table.ring_3, _kept()) == ("DEF-hand.L", own, own)
         yield from _choose(stage, "hand_table.ring_3", OTHER)
         assert table.ring_3 == _kept() == OTHER
-        yield from press(stage, "bpy.ops.manient.apply_to_character(")
+        yield from stage.press("bpy.ops.manient.apply_to_character(")
         yield from stage.until(_keys, 60.0, "keys on the character")
         yield 0.5
         keyed = {c.data_path.split('"')[1] for c in _rig().animation_data.action.fcurves}
@@ -56,9 +56,9 @@ def armed(stage, take):
     with opened_by_default("MANIENT_PT_character"):
         yield from stage.open_sidebar(EDIT_TAB)
         yield 0.5
-        yield from press(stage, "manient.character.arms")
+        yield from stage.press("manient.character.arms")
         yield from stage.until(lambda: _rig().manient.character.arms, 5.0, "the tick")
-        yield from press(stage, "bpy.ops.manient.apply_to_character(")
+        yield from stage.press("bpy.ops.manient.apply_to_character(")
         yield from stage.until(_keys, 60.0, "keys on the character")
         yield 0.5
         keyed = {c.data_path.split('"')[1] for c in _rig().animation_data.action.fcurves}
@@ -85,7 +85,7 @@ def linked(stage, source, steps=12):
     with opened_by_default("MANIENT_PT_character"):
         yield from stage.open_sidebar(EDIT_TAB)
         yield 0.5
-        yield from press(stage, "manient.character.live")
+        yield from stage.press("manient.character.live")
         yield from stage.until(lambda: keys_of(follower) > 0, 30.0, "the follower's keys")
     before = _index_turns(follower)
     follower.select_set(False)
@@ -197,28 +197,9 @@ def _turns(frame: int) -> list[float]:
     return [round(shown.pose.bones[name].matrix_basis.to_quaternion().angle, 4) for name in names]
 
 
-def press(stage, button: str):
-    """Click a button of the sidebar, the wheel turned until it shows."""
-    region = stage.region("UI")
-    middle = (region.x + region.width / 2, region.y + region.height / 2)
-    yield from stage.move_to(middle)
-    for _ in range(40):
-        yield from stage.key("WHEELUPMOUSE")
-    for _ in range(4):
-        place = yield from stage.find_button(button, along=0.6)
-        if place is not None:
-            return (yield from stage.click(place))
-        yield from stage.move_to(middle)
-        for _ in range(12):
-            yield from stage.key("WHEELDOWNMOUSE")
-        yield 0.3
-    raise AssertionError(f"the sidebar has no {button}")
-
-
 def _choose(stage, field: str, name: str):
     """Click the field of a bone in the table, type a name into its search, and take what is found."""
-    yield from press(stage, field)
-    yield 0.5
+    yield from stage.press(field)
     yield from stage.write(name)
     yield 0.5
     yield from stage.key("RET")

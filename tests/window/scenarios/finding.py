@@ -65,11 +65,11 @@ def added(stage, source):
     yield from stage.click(place)
     yield from _finished(stage)
     assert [hand["side"] for hand in summary()] == ["right"]
-    adding = part("operators.add_hand")
-    yield from stage.until(lambda: adding._mode is not None, 10.0, "the mode in which a hand is added")
+    adding = part("operators.add_hand").MANIENT_OT_add_hand
+    yield from stage.until(lambda: adding.current is not None, 10.0, "the mode in which a hand is added")
     yield from stage.move_to(stage.region())
     yield from stage.key("ESC")
-    yield from stage.until(lambda: adding._mode is None, 5.0, "the mode to end")
+    yield from stage.until(lambda: adding.current is None, 5.0, "the mode to end")
 
 
 def captured(stage):
@@ -99,7 +99,7 @@ def begun(stage, source):
 
 
 def mode():
-    return part("operators.modes.find_hands").current
+    return part("operators.find_hands").MANIENT_OT_find_hands.current
 
 
 def viewport():

@@ -8,7 +8,7 @@ import bpy
 from mathutils import Vector
 
 from scenarios.capturing import done, finish, hands, import_take, jobs, keys_of, part
-from scenarios.character import press, rigify_character, vroid_character
+from scenarios.character import rigify_character, vroid_character
 from scenarios.panels import opened_by_default
 from scenarios.traces import workers
 
@@ -21,7 +21,7 @@ def started(stage, source, folder, character=None, *, button=False, left=None):
     settings = bpy.context.scene.manient.live
     settings.source, settings.folder, settings.countdown = f"file:{source}", str(folder), 1
     settings.left.use, settings.left.character, settings.right.character = left is not None, left, character
-    yield from press(stage, START) if button else stage.invoke("manient.live")
+    yield from stage.press(START) if button else stage.invoke("manient.live")
     live = part("session.live")
     session = yield from stage.until(live.running, 5.0, "Live to start")
     yield from stage.until(

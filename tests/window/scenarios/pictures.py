@@ -13,7 +13,7 @@ from handfit_core.hand_model.files import OPEN_HAND, kept_model
 from handfit_core.retarget.transfer import SourceHand, target_hand
 from scenarios import adding, live, views
 from scenarios.capturing import begin, capture, done, finish, hands, part
-from scenarios.character import press, rigify_character
+from scenarios.character import rigify_character
 from scenarios.finding import HER_LEFT_HAND, begun, boxed_around, mode, tag_of
 from scenarios.panels import opened_by_default
 from scenarios.refine import INDEX_TIP, places, state, warmed
@@ -88,7 +88,7 @@ def posing(stage, folder, source):
         settings = bpy.context.scene.manient
         settings.pose, settings.pose_scope = "Fist", "RANGE"
         settings.pose_first, settings.pose_last = 8, 16
-        yield from press(stage, "bpy.ops.manient.apply_pose(")
+        yield from stage.press("bpy.ops.manient.apply_pose(")
         yield from stage.look_through_camera()
         yield from _shown(stage, "pose-range")
 
@@ -145,7 +145,7 @@ def onto_a_character(stage, folder, source, frame=8):
         _hold_beside(rig, armature)
         bpy.context.scene.manient.hand_table.side = "right"
         yield from stage.open_sidebar(EDIT_TAB)
-        yield from press(stage, "bpy.ops.manient.apply_to_character(")
+        yield from stage.press("bpy.ops.manient.apply_to_character(")
         yield from stage.until(lambda: rig.animation_data.action is not None, 60.0, "keys on the character")
         yield 1.0
         with stage.override():
@@ -183,9 +183,9 @@ def onto_a_body(stage, folder, source, side, turns, places, frame=75):
         yield from capture(stage, f"//{source}")
         part("operators.base").select_alone(bpy.context, rig)
         yield from stage.open_sidebar(EDIT_TAB)
-        yield from press(stage, "bpy.ops.manient.find_offset(")
+        yield from stage.press("bpy.ops.manient.find_offset(")
         yield from stage.until(lambda: rig.manient.character.time_offset, 120.0, "the offset")
-        yield from press(stage, "bpy.ops.manient.apply_to_character(")
+        yield from stage.press("bpy.ops.manient.apply_to_character(")
         yield from stage.until(lambda: rig.animation_data.nla_tracks, 60.0, "keys on the character")
         yield 1.0
         bpy.context.scene.frame_set(frame)

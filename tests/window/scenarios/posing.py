@@ -51,7 +51,7 @@ def pose_of_the_library(stage, take):
     assert bpy.context.scene.manient.pose == "Fist"
     fist, before = poses.pose_named("Fist").hand_pose, _fingers()
     assert np.abs(before - fist).max() > 0.5
-    yield from stage.press_button("bpy.ops.manient.apply_pose", along=0.7)
+    yield from stage.press("bpy.ops.manient.apply_pose", along=0.7)
     np.testing.assert_allclose(_fingers(), fist, atol=1e-4)
     yield from stage.undo()
     np.testing.assert_allclose(_fingers(), before, atol=1e-5)
@@ -103,7 +103,7 @@ def keys_simplified(stage, take):
         assert left[1] < left[0] < every
         bpy.ops.ed.undo_push(message="Degrees")
         for button, keys, before in (("simplify_keys", left[1], every), ("restore_keys", every, left[1])):
-            yield from stage.press_button(f"bpy.ops.manient.{button}(")
+            yield from stage.press(f"bpy.ops.manient.{button}(", along=0.4)
             assert keys_of(hands()[0]) == keys
             yield from stage.undo()
             assert keys_of(hands()[0]) == before
@@ -111,7 +111,7 @@ def keys_simplified(stage, take):
                 yield from stage.redo()
         assert keys_of(hands()[0]) == left[1]
         for button, layers in (("add_key_layer", 1), ("end_key_layer", 0)):
-            yield from stage.press_button(f"bpy.ops.manient.{button}(")
+            yield from stage.press(f"bpy.ops.manient.{button}(", along=0.4)
             assert len(hands()[0].animation_data.nla_tracks) == layers
         assert keys_of(hands()[0]) == left[1]
 

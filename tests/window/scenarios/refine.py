@@ -147,12 +147,12 @@ def put_elsewhere(stage, source):
     yield from stage.drag([tuple(corner + t * (middle - corner)) for t in np.linspace(0, 1, 8)])
     yield 0.2
     assert selected() == before
-    assert operator().running()
+    assert operator().current is not None
     start = places()[INDEX_TIP]
     yield from dragged(stage, [(start[0] + 7 * i, start[1] - 2 * i) for i in range(8)])
     yield from stage.key("RIGHT_ARROW")
     yield 0.3
-    assert operator()._mode.shows_detections(0)
+    assert operator().current.shows_detections(0)
     yield from stage.screenshot("elsewhere-hollow")
     yield from stage.undo()
     yield from stage.redo()
@@ -262,7 +262,7 @@ def warmed(stage):
 def ended(stage, key="ESC"):
     """Leave Edit Keypoints."""
     yield from stage.key(key)
-    yield from stage.until(lambda: not operator().running(), 5.0, "the mode to end")
+    yield from stage.until(lambda: operator().current is None, 5.0, "the mode to end")
 
 
 def dragged(stage, path):
@@ -283,25 +283,25 @@ def dragged(stage, path):
 
 
 def operator():
-    return part("operators.edit_keypoints")
+    return part("operators.edit_keypoints").MANIENT_OT_edit_keypoints
 
 
 def viewport():
-    return part("operators.modes.view").viewport_at(bpy.context, operator()._mode.view.address)
+    return part("operators.modes.view").viewport_at(bpy.context, operator().current.view.address)
 
 
 def places() -> dict[int, tuple[float, float]]:
     """Keypoint -> (x, y) of its handle in window pixels, as events have them; empty while none are shown."""
-    there = viewport() if operator()._mode else None
+    there = viewport() if operator().current else None
     if there is None:
         return {}
-    found = operator()._mode.region_places(there) + np.array([there.region.x, there.region.y])
+    found = operator().current.region_places(there) + np.array([there.region.x, there.region.y])
     return {k: (float(x), float(y)) for k, (x, y) in enumerate(found) if np.isfinite([x, y]).all()}
 
 
 def state() -> dict:
     """What is dragged and pinned, and whether the worker is not ready yet."""
-    mode = operator()._mode
+    mode = operator().current
     if mode is None:
         return {"dragged": None, "pins": {}, "warming": False}
     row = mode.row()

@@ -57,7 +57,7 @@ def captured(stage, source, second):
             assert _seen_through() == name
             if shot:
                 yield from stage.screenshot(f"views-{shot}")
-                yield from stage.press_button("bpy.ops.manient.switch_view(")
+                yield from stage.press("bpy.ops.manient.switch_view(", along=0.4)
         yield from stage.undo()
         assert _seen_through() == other
         yield from stage.redo()
@@ -74,7 +74,7 @@ def captured(stage, source, second):
 def _points_shown(stage, armature):
     """V shows the points over the other picture, in the second clip's own frame, where a drag takes none of
     them; one in the first picture moves the hand in both."""
-    mode = lambda: operator()._mode  # noqa: E731
+    mode = lambda: operator().current  # noqa: E731
     bpy.context.scene.camera = part("scene.store").hand_of(armature).camera
     bpy.ops.ed.undo_push(message="Camera")
     before = {frame: pose_at(armature, frame) for frame in (5, 20)}
@@ -124,7 +124,7 @@ def told(stage, source, second, rig):
         before = pictured()
         settings.pair = 31, 40
         yield from stage.until(lambda: pictured()[1] != before[1], 20.0, "another picture")
-        assert abs(info.told_offset(settings) - (30 - 39) / info.of(settings).fps) < 1e-4
+        assert abs(info.chosen_offset(settings) - (30 - 39) / info.of(settings).fps) < 1e-4
         job = yield from begin(stage, source, second_view=str(second), cameras=str(rig))
         yield from finish(stage, job)
         assert job.state == "failed"

@@ -13,7 +13,7 @@ import pytest
 from handfit_core.__main__ import main
 from handfit_core.capturing.fitting import hand_track
 from handfit_core.capturing.options import CaptureOptions
-from handfit_core.capturing.pipeline import Progress, capture
+from handfit_core.capturing.pipeline import capture
 from handfit_core.capturing.views.joining import joined
 from handfit_core.capturing.views.readings import ViewTake
 from handfit_core.capturing.views.verdict import rotation_between
@@ -195,23 +195,22 @@ class TestFiles:
 
     @pytest.mark.slow
     def test_stopped_while_views_are_joined(self, samples):
-        stages: list[str] = []
-
-        def progress(each: Progress) -> None:
-            stages.append(each.stage)
+        seen: list[tuple[str, int]] = []
 
         view = str(samples / PAIR / "clip1_b.mp4")
         take = capture(
             samples / PAIR / "clip1_a.mp4",
             CaptureOptions(view=view, quality="draft"),
-            progress,
-            lambda: "join" in stages,
+            lambda each: seen.append((each.stage, each.view)),
+            lambda: ("join", 0) in seen,
         )
         assert take.verdict is not None
         assert take.verdict.text.startswith(
             "The capture was stopped before both views were joined. The first"
         )
         assert take.hands
+        of_views = [(stage, view) for view in (0, 1) for stage in ("detect", "fit")]
+        assert list(dict.fromkeys(seen)) == [*of_views, ("join", 0)]
 
     def test_a_batch_of_pairs(self, samples, tmp_path):
         folder = tmp_path / "in"
