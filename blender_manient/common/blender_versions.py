@@ -81,20 +81,20 @@ def assign_action(owner: bpy.types.Object, action: bpy.types.Action) -> Any:
     return channels(action, data.action_slot, make=True)
 
 
+def users_of(owner: bpy.types.Object, *, acting: bool = False) -> list[Any]:
+    """What uses an action for an object: its animation data, then its strips from the top, for `acting`
+    without those that are muted."""
+    data = owner.animation_data
+    tracks = data.nla_tracks if data is not None else ()
+    strips = [s for track in tracks for s in track.strips if not (acting and (track.mute or s.mute))]
+    return [user for user in (data, *reversed(strips)) if user is not None and user.action is not None]
+
+
 def used_actions(owner: bpy.types.Object, *, acting: bool = False) -> list[tuple[Any, Any]]:
     """Every (action, slot) of an object that can be changed: the present one and those in its NLA; or, for
     `acting`, every one that moves it now: linked ones too, and none that is muted."""
-    data = owner.animation_data
-    if data is None:
-        return []
-    strips = [(track, strip) for track in data.nla_tracks for strip in track.strips]
-    used = [(data.action, action_slot(data))]
-    used += [(s.action, action_slot(s)) for track, s in strips if not (acting and (track.mute or s.mute))]
-    found: dict[Any, tuple[Any, Any]] = {}
-    for action, slot in used:
-        if action is not None and (acting or action.is_editable):
-            found[action, slot_key(slot)] = (action, slot)
-    return list(found.values())
+    used = [(user.action, action_slot(user)) for user in users_of(owner, acting=acting)]
+    return list({(a, slot_key(slot)): (a, slot) for a, slot in used if acting or a.is_editable}.values())
 
 
 def use_nodes(block: bpy.types.Material | bpy.types.World) -> Any:

@@ -13,7 +13,7 @@ import numpy as np
 
 from handfit_core.common.errors import OptionError
 
-from ..common.blender_versions import action_slot, channels
+from ..common.blender_versions import action_slot, channels, users_of
 
 BELOW = "manient_below"
 """Custom property of an action that lies as a layer on another one, which it names (scene/layer.py)"""
@@ -23,11 +23,6 @@ def strips_of(obj: bpy.types.Object) -> list[bpy.types.NlaStrip]:
     """All NLA strips of an object, from the bottom."""
     tracks = obj.animation_data.nla_tracks if obj.animation_data is not None else ()
     return [strip for track in tracks for strip in track.strips]
-
-
-def users_of(obj: bpy.types.Object) -> list[Any]:
-    """What uses an action for an object: its animation data, then its strips from the top."""
-    return [user for user in (obj.animation_data, *reversed(strips_of(obj))) if user and user.action]
 
 
 def channels_of(user: Any, *, make: bool = False) -> Any:

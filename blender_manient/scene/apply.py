@@ -106,10 +106,10 @@ def apply_hand(
         if len(keys.frames) == 0:
             raise OptionError(f"{other.armature.name!r} has no keys to copy; apply its pose instead")
         if is_smooth(other.rig):  # what lies between keys would be lost
-            moved, frames = keys, frames_between(keys.frames)
+            frames, own = frames_between(keys.frames), keys
             keys = PoseKeys.everywhere(frames, *shown_pose(other.rig, frames))
-            keys.rotation_keyed[:] = moved.rotation_keyed.any(axis=0)
-            keys.location_keyed[:] = moved.location_keyed.any()
+            turns = np.asarray(own.rotation_keyed.any(axis=0))
+            keys = keys.only(turns, bool(own.location_keyed.any()))
     return _apply(hand, keys.turned(other.rig.rest, hand.rig.rest), mode, wrist)
 
 

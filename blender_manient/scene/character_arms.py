@@ -32,10 +32,11 @@ from handfit_core.retarget.arms import (
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.transfer import TargetHand
 
+from ..common.blender_versions import users_of
 from ..rigs import arm_controls
 from ..rigs.character import ArmControls, CharacterBones, bones_of
 from ..rigs.rig import bone_path
-from .actions import channels_of, curves_in, strips_of, users_of
+from .actions import channels_of, curves_in, strips_of
 from .characters import CharacterObjects, hand_map_of
 from .hand_motion import BoneKeys
 from .keys import PoseKeys
@@ -257,9 +258,7 @@ def _capsules(armature: bpy.types.Object, target: TargetArm) -> Capsules:
 
 def unapplied_users(armature: bpy.types.Object) -> list:
     """What uses an action for an armature that was not made for captured arms."""
-    tracks = armature.animation_data.nla_tracks if armature.animation_data is not None else ()
-    muted = {strip for track in tracks for strip in track.strips if track.mute or strip.mute}
-    return [user for user in users_of(armature) if MARK not in user.action and user not in muted]
+    return [user for user in users_of(armature, acting=True) if MARK not in user.action]
 
 
 def _moved_range(armature: bpy.types.Object, names: Sequence[str]) -> tuple[float, float] | None:

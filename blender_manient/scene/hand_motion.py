@@ -14,9 +14,8 @@ import numpy as np
 
 from handfit_core.common.skeleton import Side
 
-from ..common.blender_versions import action_slot, channels, property_group, slot_key
+from ..common.blender_versions import action_slot, channels, property_group, slot_key, users_of
 from ..rigs.character import CharacterBones
-from .actions import users_of
 from .keys import PoseKeys, nearest, read_pose_keys, read_table, table_text
 
 MARK = "manient_hand_motion"

@@ -302,19 +302,13 @@ class _CharacterPosable(PosableHand):
 
     def put(self, context: bpy.types.Context, posed: Posed) -> None:  # noqa: ARG002
         """Key all bones that move."""
-        count, moved = len(posed.frames), posed.moved
-        keys = PoseKeys(
-            posed.frames,
-            np.nan_to_num(posed.quats),
-            np.zeros((count, 3)),
-            np.tile(moved, (count, 1)),
-            np.zeros(count, dtype=bool),
-        )
-        write_pose_keys(self.rig, keys)
+        keys = PoseKeys.everywhere(posed.frames, np.nan_to_num(posed.quats))
+        write_pose_keys(self.rig, keys.only(posed.moved, False))
         if posed.span is None:
             set_pose(self.rig, posed.quats[0])
         else:
-            level_handles(self.rig, np.flatnonzero(moved).tolist(), posed.span.first, posed.span.last)
+            joints = np.flatnonzero(posed.moved).tolist()
+            level_handles(self.rig, joints, posed.span.first, posed.span.last)
 
 
 def posed_by(context: bpy.types.Context) -> CapturedHand | bpy.types.Object | None:

@@ -192,7 +192,7 @@ def transfer_properties() -> dict[str, Any]:
 def add_argument(
     parser: argparse._ActionsContainer, name: str, flag: str, more: str = "", **how: Any
 ) -> None:
-    """Add an option to a command line as `flag`; what is not given is None there. `more` ends its help."""
+    """Add an option to a command line as `flag`. `more` ends its help; `how` are argparse's own arguments."""
     about = OPTIONS[name].metadata
     if about["items"] is not None:
         how["choices"] = [item.lower() for item in about["items"]]
