@@ -38,7 +38,7 @@ from handfit_core.worker.client import Worker
 from tests.capturing import needs_capture
 from tests.drawn import drawn
 from tests.takes import seen_as
-from tests.waiting import pid_of, stopping, wait_for
+from tests.waiting import alive, pid_of, stopping, wait_for
 
 from .conftest import READY, joint_heads
 from .importing import imported, read_back
@@ -607,7 +607,7 @@ def test_a_worker_that_dies_changes_nothing_and_the_next_one_works(armature, pee
     # One that dies between two moves is not even noticed.
     os.kill(pid_of(shared_worker.worker()), signal.SIGKILL)
     deadline = time.monotonic() + 5.0
-    while shared_worker.worker().alive and time.monotonic() < deadline:
+    while alive(shared_worker.worker()) and time.monotonic() < deadline:
         time.sleep(0.01)
     drag(armature)
 
