@@ -21,6 +21,7 @@ from handfit_core.common.errors import HandfitError
 from handfit_core.common.skeleton import FINGERS
 from tests.capturing import needs_capture
 from tests.drawn import drawn
+from tests.waiting import alive
 
 from .conftest import READY
 
@@ -230,7 +231,7 @@ def test_what_is_missing_is_said_before_anything_starts(settings, values, said):
         setattr(settings, name, value)
     with pytest.raises(HandfitError, match=said):
         new_request(bpy.context, only_frame=False)
-    assert shared_worker.current() is None or not shared_worker.current().alive
+    assert shared_worker.current() is None or not alive(shared_worker.current())
 
 
 @pytest.mark.parametrize(("frame", "there"), [(5, True), (25, False), (0, False), (-39, False)])
