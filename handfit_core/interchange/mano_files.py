@@ -171,8 +171,7 @@ class _Part:
         wanted."""
         layout, values = self.layout, dict(self.values)
         for name, what in layout.wanted.items():
-            widths = [(width,) for width in layout.columns.get(name, ())]
-            if name in held and (name or np.shape(held[name])[-1:] in widths):
+            if name in held and (name or _width(held[name]) in layout.columns.get(name, ())):
                 values[what] = name, held[name]
         rows = [step for step in (steps if layout.rows == "sides" else steps[:-1]) if isinstance(step, int)]
         keys = [step for step in steps if isinstance(step, str)]
@@ -203,6 +202,15 @@ class _Part:
                     )
                 values |= {w: (key, array[:, part]) for w, part in widths[array.shape[-1]].items()}
         return replace(self, values=values)
+
+
+def _width(value: Any) -> int:
+    """How many numbers the innermost lists of a value have, or an array's rows; 0 of a single one."""
+    if isinstance(value, np.ndarray):
+        return value.shape[-1] if value.ndim else 0
+    while isinstance(value, list) and value and isinstance(value[0], list):
+        value = value[0]
+    return len(value) if isinstance(value, list) else 0
 
 
 def _values(held: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
