@@ -257,7 +257,9 @@ class UsdExporter(BlenderFormat, Exporter):
         """Its skeletons name their joints, with an underscore for all that is no letter or digit."""
         if (stage := usd_stage(str(path))) is None:
             return ""
-        there, moves = set[str](), False
+        # A single frame has no samples over time.
+        there = set[str]()
+        moves = stage.HasAuthoredTimeCodeRange() and stage.GetStartTimeCode() == stage.GetEndTimeCode()
         for prim in stage.Traverse():
             if prim.GetTypeName() == "Skeleton":
                 there |= {joint.rpartition("/")[2] for joint in prim.GetAttribute("joints").Get()}

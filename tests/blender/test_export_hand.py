@@ -252,6 +252,20 @@ def test_what_blender_left_out_is_not_called_written(make_take, tmp_path, monkey
     assert there.read_bytes() == b"what was there"
 
 
+@pytest.mark.parametrize("fmt", ["fbx", "glb", "usd"])
+def test_a_photos_hand_is_written(make_take, tmp_path, fmt):
+    """A scene of one frame has no motion, which is no reason to refuse it."""
+    _, built = build(make_take(sides=("right",), frame_numbers=np.array([7])))
+    scene = bpy.context.scene
+    scene.frame_start = scene.frame_end = scene.frame_current
+    skin = evaluated_vertices(built.hands[0].mesh)
+    read_back(write(tmp_path / f"a{EXPORTERS[fmt].suffix}", file_format=fmt), first=scene.frame_current)
+    (mesh,) = (o for o in bpy.data.objects if o.type == "MESH" and len(o.data.vertices) > 500)
+    found = evaluated_vertices(mesh)
+    for edge in (np.min, np.max):
+        np.testing.assert_allclose(edge(found, axis=0), edge(skin, axis=0), atol=1e-3)
+
+
 @pytest.mark.parametrize("units", [None, 1.0, 0.01])
 def test_the_take_is_what_was_captured(make_take, tmp_path, units):
     """Also where rig and camera moved together, in a scene of any unit."""
