@@ -243,9 +243,9 @@ def _joined(name: str, spec: Array, parts: Sequence[Detections]) -> np.ndarray |
     columns = [getattr(part, name) for part in parts]
     if spec.optional and all(column is None for column in columns) and name not in _UNKNOWN:
         return None
-    if len(columns) == 1 and columns[0] is not None:
-        return columns[0].astype(spec.dtype(np.float64), copy=False)
     shape = [size for size in spec.shape if isinstance(size, int)]
+    if len(columns) == 1 and columns[0] is not None and [*columns[0].shape[1:]] == shape:
+        return columns[0].astype(spec.dtype(np.float64), copy=False)
     nothing = False if spec.kind == "b" else np.nan
     filled = [
         np.full((len(part), *shape), nothing) if column is None else column
