@@ -30,7 +30,6 @@ from handfit_core.detect.tracker import Tracked
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.lens import Lens
 from handfit_core.media.read_ahead import read_ahead
-from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
 
 
@@ -162,8 +161,8 @@ class _BodyDetector(InChunks[_Part]):
 
     def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool]) -> _Part:
         """Frames before the first and after the last hand are not read."""
-        start, step = index * MEDIA.chunk_frames, FOLLOWING.step
-        numbers = list(self.media.numbers(start, MEDIA.chunk_frames))
+        start, step = index * self.media.chunk_frames, FOLLOWING.step
+        numbers = list(self.media.numbers(start, self.media.chunk_frames))
         rows = [self._rows.get(number, -1) for number in numbers]
         wanted = [i for i in range(0, len(rows), step) if rows[i] >= 0 and self._clip.wanted[rows[i]]]
         following = _Following(self._networks, self._clip)

@@ -24,7 +24,6 @@ from handfit_core.detect.regions import detect_frame
 from handfit_core.detect.shot_boundary import Thumbnail
 from handfit_core.detect.tracker import TrackedHand, extend_track
 from handfit_core.media.read_ahead import read_ahead
-from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Frame, Media
 
 
@@ -78,7 +77,7 @@ class ClipDetector(InChunks[Chunk]):
 
     def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool]) -> Chunk:
         """Detect the hands of the chunk with that index, as `InChunks.chunk` says."""
-        rows = index * MEDIA.chunk_frames, MEDIA.chunk_frames
+        rows = index * self.media.chunk_frames, self.media.chunk_frames
         named = self.media.numbers(*rows)
         regions = [r for r in self._regions if r.frame is None or r.frame in named]
         whole_past = any(region.frame is not None for region in regions)

@@ -123,7 +123,7 @@ class ChunkOfFrames(Protocol):
 
     @property
     def numbers(self) -> list[int]:
-        """Numbers of its frames: fewer than 96 at the clip's end."""
+        """Numbers of its frames: fewer than the media's `chunk_frames` at the clip's end."""
         ...
 
 
@@ -131,7 +131,7 @@ Part = TypeVar("Part", bound=ChunkOfFrames, covariant=True)
 
 
 class InChunks(Protocol[Part]):
-    """Goes through one clip in chunks of 96 frames. Use it as a context manager."""
+    """Goes through one clip in chunks of the media's `chunk_frames`. Use it as a context manager."""
 
     media: Media
 

@@ -41,7 +41,7 @@ def detect_chunks(
     done = itertools.count(1)
     for index in itertools.count():
         found.append(detector.chunk(index, lambda _: on_progress(next(done)), should_stop))
-        if len(found[-1].numbers) < MEDIA.chunk_frames:
+        if len(found[-1].numbers) < detector.media.chunk_frames:
             break
     return [chunk for chunk in found if chunk.numbers]
 
@@ -68,10 +68,10 @@ def _in_threads(
             own.media.limit_threads(max(1, usable_threads() // count))
             while not ended.is_set():
                 index = next(indices)
-                if number > 0 and 0 < detector.media.expected_frames <= index * MEDIA.chunk_frames:
+                if number > 0 and 0 < detector.media.expected_frames <= index * detector.media.chunk_frames:
                     return  # the first thread sees whether the header tells the truth
                 found[index] = own.chunk(index, lambda _: events.put(None), stopped.is_set)
-                if len(found[index].numbers) < MEDIA.chunk_frames:
+                if len(found[index].numbers) < detector.media.chunk_frames:
                     ended.set()
 
     with ThreadPoolExecutor(count, "handfit-detect") as pool:
@@ -97,7 +97,7 @@ def _in_threads(
     chunks: list[Part] = []
     while (chunk := found.get(len(chunks))) is not None:
         chunks.append(chunk)
-        if len(chunk.numbers) < MEDIA.chunk_frames:
+        if len(chunk.numbers) < detector.media.chunk_frames:
             break
     return [chunk for chunk in chunks if chunk.numbers]
 

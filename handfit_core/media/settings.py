@@ -11,8 +11,8 @@ class MediaSettings:
     """Rates, numbers and sizes of pictures and videos, and how many are read at once."""
 
     chunk_frames: int = 96
-    """Frames of a clip that are detected together. A chunk begins with a palm detection in the whole picture,
-    as every 24th frame has one"""
+    """Frames of a clip that are detected together at most (`Media.chunk_frames`). A chunk begins with a palm
+    detection in the whole picture, as every 24th frame has one"""
     max_range_chars: int = 40
     """Numbers beyond any clip's frames fit in"""
     max_frame_number: int = 1_048_574

@@ -18,6 +18,7 @@ from handfit_core.common.errors import TakeError
 from handfit_core.common.files import storable
 from handfit_core.common.npz import LONGEST_HEADER
 from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.settings import MEDIA
 
 SourceKind = Literal["photo", "sequence", "video", "data"]
 """`data`: hands of another program, to which no pictures belong"""
@@ -97,6 +98,16 @@ class Media:
 
     first_and_last: tuple[int, int]
     """Frame numbers that `frames()` begins and ends with, as far as the header tells"""
+
+    @property
+    def chunk_frames(self) -> int:
+        """How many frames are detected together: `MEDIA.chunk_frames` at most, and an even number of about
+        equal chunks, so that threads end together."""
+        chunks = -(-self.expected_frames // MEDIA.chunk_frames)
+        if chunks < 2:
+            return MEDIA.chunk_frames
+        # Of an even length, as bodies are looked for in every second frame.
+        return 2 * -(-self.expected_frames // (2 * (chunks + chunks % 2)))
 
     def frames(self, first: int = 0, count: int | None = None, step: int = 1) -> Iterator[Frame]:
         """Yield the frames in order, from index `first`, counted from 0: of `count` of them at most, every

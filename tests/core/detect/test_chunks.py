@@ -18,7 +18,7 @@ from handfit_core.detect import chunks, sharing
 from handfit_core.detect.chunks import Chunk
 from handfit_core.detect.detector import DETECTORS, Detected
 from handfit_core.detect.shot_boundary import Thumbnail
-from handfit_core.media import pictures
+from handfit_core.media import pictures, source
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
 from handfit_core.media.pictures import read_picture
@@ -34,8 +34,8 @@ DRAFT = CaptureOptions(FrameRange(31, 90), quality="draft")
 def short_chunks() -> Iterator[None]:
     """Chunks of 24 frames, so that a short clip has seams."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (chunks, sharing):
-            patch.setattr(module, "MEDIA", replace(chunks.MEDIA, chunk_frames=24))
+        for module in (source, sharing):
+            patch.setattr(module, "MEDIA", replace(source.MEDIA, chunk_frames=24))
         yield
 
 
@@ -148,7 +148,7 @@ def test_how_many_threads(monkeypatch):
 def test_other_threads_use_the_named_detector(clip, monkeypatch):
     class Blind(chunks.ClipDetector):
         def chunk(self, index: int, *_: object) -> Chunk:
-            numbers = [7 + index] * (chunks.MEDIA.chunk_frames if index < 2 else 1)
+            numbers = [7 + index] * (self.media.chunk_frames if index < 2 else 1)
             return Chunk(numbers, [()] * len(numbers), [], [3], [], None, None, int(index < 2))
 
     blind = replace(DETECTORS.get("direct"), clip=Blind)
