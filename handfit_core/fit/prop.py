@@ -10,13 +10,16 @@ from handfit_core.common.errors import OptionError
 from handfit_core.hand_model.surface import cross
 
 _LONGEST_SIDE: Final = 0.006
-"""metres: longer sides are halved, so that the nearest triangle has one of the nearest centres"""
+"""metres: longer sides of triangles are halved, so that the triangle nearest to a point is among those with
+the nearest centres"""
 _CANDIDATES: Final = 6
-"""Triangles with the nearest centres, among which the nearest one is"""
+"""How many triangles with the nearest centres are searched for the one that is nearest to a point"""
 _MOST_TWICE: Final = 0.01
-"""Share of edges that two faces follow in the same direction from which faces point both ways"""
+"""Share of edges that two faces follow in one direction, beyond which the faces of a mesh do not agree on
+which side is outside"""
 _SAMPLED_FACES, _SAMPLED_FIELD = 32, 4000
-"""Faces that are asked which side of them is inside, and faces that answer"""
+"""How many faces are tested for which of their sides is inside, and of how many faces the winding number is
+summed for that"""
 _CERTAIN_WINDING, _CERTAIN_SHARE = 0.1, 0.9
 """Mean winding number of both sides of a face, 0.5 in closed meshes, from which the inside is certain, and
 the share of faces where it must be"""

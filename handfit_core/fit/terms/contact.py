@@ -25,7 +25,7 @@ class Contact:
         self.surface = surface
 
     def __call__(self, posed: Posed, seen: Observation) -> PairRows:
-        """The rows of those of B posed hands in which parts touch."""
+        """Return the rows of B posed hands, for those whose parts touch."""
         capsules = self.surface.capsules(posed)
         found: list[PairRows] = []
         if seen.self_contact is not None:
@@ -44,7 +44,8 @@ class Contact:
 
 
 def _rows(posed: Posed, near: Near, sigma: float, weight: np.ndarray, excess: np.ndarray) -> PairRows:
-    """Rows of K gaps in sigmas times `weight` (K,), whose costs are `excess` (K,) times their squares."""
+    """Return rows of K gaps in sigmas times `weight` (K,), whose costs are `excess` (K,) times their
+    squares."""
     slope = between(posed, near.hand, near.bones, near.places, near.towards / sigma)
     columns = np.concatenate([slope, near.gap[:, None] / sigma], axis=1) * weight[:, None]
     return PairRows(near.hand, FINGER_OF_BONE[near.bones], columns, excess * np.square(columns[:, -1]))

@@ -40,7 +40,8 @@ def grip(posed: Posed, seen: Observation) -> SkinRows:
 
 
 def near_wrist(posed: Posed, seen: Observation) -> Rows:
-    """Six rows: the wrist's turn / grip_turn_sigma and its way / grip_place_sigma from the captured ones."""
+    """Return six rows for each hand: how far its wrist is turned from the captured one, over grip_turn_sigma,
+    and moved from it, over grip_place_sigma."""
     assert seen.grip is not None
     state, captured = posed.state, seen.grip.captured
     rows = Rows.zeros(HAND, len(state), 6)

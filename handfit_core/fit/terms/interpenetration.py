@@ -19,7 +19,7 @@ class Interpenetration:
         self.surface = surface
 
     def __call__(self, posed: Posed, seen: Observation) -> PairRows:
-        """The rows of those of B posed hands whose parts overlap."""
+        """Return the rows of B posed hands, for those whose parts overlap."""
         near = self.surface.near(self.surface.capsules(posed), within=-TERMS.compression)
         # The places are the nearest ones: to first order the gap does not change as they move on.
         corrected = seen.anchor is not None and np.isfinite(seen.anchor.limits_sigma)[near.hand]

@@ -37,11 +37,12 @@ class Limits:
 
     @property
     def angle_bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """(5, 9) and (5, 9) radians between which a solver's steps stay, without an anchor."""
+        """The least and the greatest angles, (5, 9) radians each, that a solver's step may reach where no
+        anchor holds the pose: the joints' limits with a margin."""
         return self.lower - TERMS.step_margin, self.upper + CLOSED_HAND_MARGIN + TERMS.step_margin
 
     def __call__(self, posed: Posed, seen: Observation) -> Rows:
-        """The rows of B posed hands."""
+        """Return the rows of B posed hands: nine for each finger, in sigmas."""
         anchor, sigma, below, above = seen.anchor, TERMS.limits_sigma, np.zeros(1), CLOSED_HAND_MARGIN
         if anchor is not None:
             own = np.isnan(anchor.limits_sigma)[:, None, None]
@@ -64,7 +65,8 @@ class Limits:
         return rows
 
     def _outside(self, angles: np.ndarray, below: np.ndarray, above: np.ndarray) -> np.ndarray:
-        """(B, 5, 9) radians beyond the ranges, which are widened by `below` and `above`."""
+        """Return by how many radians (B, 5, 9) angles lie outside their ranges, which are widened by `below`
+        and `above`."""
         left = np.ones_like(angles)
         left[..., SPREAD] -= _PER_RADIAN * np.clip(angles[..., BEND], 0.0, np.pi / 2)
         return angles - np.clip(angles, self.lower * left - below, self.upper * left + above)

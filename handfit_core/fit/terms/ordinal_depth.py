@@ -21,7 +21,7 @@ class OrdinalDepth:
         self.surface = surface
 
     def __call__(self, posed: Posed, seen: Observation) -> PairRows:
-        """The rows of those of B posed hands in which parts cross."""
+        """Return the rows of B posed hands, for those whose parts cross in the picture."""
         assert seen.self_contact is not None
         hand, pair = np.nonzero(seen.self_contact.front)
         front, along = seen.self_contact.front[hand, pair], seen.self_contact.along[hand, pair]

@@ -16,7 +16,8 @@ class PosePrior:
     `pose_weight`, or `pinned_pose_weight`."""
 
     def __init__(self, mean: np.ndarray, covariance: np.ndarray, side: Side = "right") -> None:
-        """mean (5, 9) radians and covariance (5, 9, 9) of right hands' angles."""
+        """Take the mean (5, 9), in radians, and the covariance (5, 9, 9) of right hands' angles, for hands of
+        `side`."""
         if side == "left":
             sign = np.tile([-1.0, -1.0, 1.0], 3)  # twist and spread change theirs
             mean, covariance = mean * sign, covariance * sign[:, None] * sign
@@ -24,7 +25,7 @@ class PosePrior:
         self._whiten = np.linalg.inv(np.linalg.cholesky(covariance))
 
     def __call__(self, posed: Posed, seen: Observation) -> Rows:
-        """The rows of B posed hands."""
+        """Return the rows of B posed hands: nine for each finger."""
         angles = posed.state.angles
         pinned = np.zeros(len(angles), dtype=bool) if seen.pinned is None else seen.pinned.any(axis=1)
         if seen.anchor is not None:

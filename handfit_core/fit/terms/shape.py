@@ -39,7 +39,7 @@ class Shape:
         self._slope = rows * np.sqrt(weight)
 
     def __call__(self, posed: Posed, seen: Observation) -> Rows:  # noqa: ARG002 (a term)
-        """The rows of B posed hands."""
+        """Return the rows of B posed hands: ten, and one more where the hand's length was measured."""
         betas = posed.state.betas
         rows = Rows.zeros(HAND, len(betas), len(self._slope))
         rows.jacobian[:, 0, :, BETAS] = self._slope
