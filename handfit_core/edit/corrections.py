@@ -47,8 +47,8 @@ _ALWAYS_KEPT: Final = ("pins", "spread", "added_key")
 """Fields that the text of every correction has; the other fields are left out where they are empty"""
 
 _MIN_CHANGE: Final = 0.01
-"""Change, in radians or in tenths of a metre, beyond which a frame's key is taken for another one than the
-corrected"""
+"""radians, or tenths of a metre, from which on a change counts when a frame's key is compared with the
+corrected one"""
 
 Pins = Mapping[int, tuple[float, float]]
 """The pins of a frame: from the number of each pinned keypoint to its (x, y) pixels in the upright picture"""

@@ -528,7 +528,7 @@ def cheapest(
     solid: bool = False,
 ) -> Solution:
     """Fit independent frames from each of several starts, and take the lowest cost, or the first start's
-    where it is not much higher. `max_iterations`: None for those of captures."""
+    where it is not much higher. `max_iterations`: None for as many as captures take."""
     count = len(observed)
     index = np.tile(np.arange(count), len(starts))
     fixed = fixed if fixed is None or len(starts) == 1 else fixed.select(index)

@@ -41,7 +41,7 @@ def picture_to_region(
 
 
 def mapped(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(..., 2) points through a (3, 3) projective map -> (..., 2)."""
+    """Map points (..., 2) by a (3, 3) projective matrix to points (..., 2)."""
     points = np.asarray(points, dtype=np.float64)
     moved = np.concatenate([points, np.ones_like(points[..., :1])], axis=-1) @ matrix.T
     return moved[..., :2] / moved[..., 2:]

@@ -9,26 +9,26 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """x -> scale * rotation @ x + translation."""
+    """A similarity transform of points in space: x -> scale * rotation @ x + translation."""
 
     scale: float
     rotation: np.ndarray
-    """(3, 3), determinant +1"""
+    """(3, 3) rotation matrix, of determinant +1"""
     translation: np.ndarray
-    """(3,)"""
+    """(3,) translation, in the unit of the transformed points"""
 
     def apply(self, points: np.ndarray) -> np.ndarray:
-        """Transform (..., 3) points."""
+        """Transform points (..., 3)."""
         return self.scale * np.asarray(points) @ self.rotation.T + self.translation
 
     def inverse(self) -> Similarity:
-        """The transform back."""
+        """Return the transform that leads back."""
         rotation = self.rotation.T
         return Similarity(1.0 / self.scale, rotation, -rotation @ self.translation / self.scale)
 
     @property
     def matrix(self) -> np.ndarray:
-        """(4, 4) homogeneous matrix."""
+        """The transform as a homogeneous matrix (4, 4)."""
         matrix = np.eye(4)
         matrix[:3, :3] = self.scale * self.rotation
         matrix[:3, 3] = self.translation
