@@ -50,7 +50,7 @@ class PaperOptions:
     warm_start: bool = False
     """True if each frame starts from the frame before, not from the flat hand; not in the paper"""
     camera_stage: bool = False
-    """a last stage through the camera (`through_camera`); needs the prior; not in the paper"""
+    """True if a last stage through the camera (`terms.refine`) follows; needs the prior; not in the paper"""
 
 
 @dataclass(frozen=True, eq=False)
