@@ -1,6 +1,5 @@
-"""The user's rigs: which bones are the hands of a studio's characters, taught once. Each is a preset file in
-one folder, by its name, and is for every armature that has all bones it names.
-"""
+"""The user's rigs, which say once for all which bones are the hands of a studio's characters. Each is a
+preset file in one folder, by its name, and is for every armature that has all bones it names."""
 
 from __future__ import annotations
 
