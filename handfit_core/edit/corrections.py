@@ -94,7 +94,8 @@ def _yes(_: str, given: Any) -> bool:
 
 @array_dataclass
 class Correction:
-    """The artist's changes to one source frame."""
+    """The correction of one source frame: what the artist changed, and how the key looked when it was
+    made."""
 
     pins: Pins = value(_pins)
     """The keypoints that the artist dragged, each with the pixels where it belongs"""
@@ -179,7 +180,7 @@ class CorrectionField:
 
     @property
     def corrected(self) -> list[float]:
-        """The source frames that the artist corrected, increasing."""
+        """The source frames that the artist corrected, increasing, without those of anchors."""
         return [g for g in sorted(self.corrections) if not self.corrections[g].is_anchor]
 
     def weights(self, frames: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import Final
 
 @dataclass(frozen=True)
 class PinSettings:
-    """How sure pins are, and how uncertain they make the points around them."""
+    """Settings of how sure pins are, and how uncertain they make the points around them."""
 
     pin_sigma: float = 0.2
     """pixels: expected error of a pin"""
@@ -31,7 +31,8 @@ class PinSettings:
     wrist_share: float = 0.5
     """Share of the wrist's displacement that is the uncertainty of all other points"""
     half_blend: float = 0.05
-    """Uncertainty, in hand sizes, at which a point is half the pose's and half the detector's"""
+    """Uncertainty of a point, in hand sizes, at which it is taken half from the pose and half from the
+    detector"""
     distance_sigma: float = 0.002
     """Relative deviation of the wrist's distance from the one that is kept"""
     palm_distance_sigma: float = 0.5
@@ -66,7 +67,7 @@ class EditSettings:
     frames_around: float = 4.0
     """frames of a second view that are taken along before and after those that are fitted again"""
     most_remembered: int = 32
-    """How many detections' landmarks are kept for the next draft"""
+    """Number of detections whose landmarks are kept for the next draft"""
     free_draft_iterations: int = 10
     """Most iterations for drafts of added hands, which start anew each time, from all sides"""
     restart_cost_ratio: float = 0.9
@@ -77,7 +78,8 @@ class EditSettings:
         (0.9, 0.2, 0.2),
         (0.2, 0.9, 0.7),
     )
-    """Other starts of a finger that does not reach its pin: bends of its joints, in parts of their range"""
+    """Other bends of its joints, in parts of their range, from which a finger that does not reach its pin is
+    started again"""
     min_palm_pins: int = 2
     """Pins of palm points, fewer of which do not tell how a hand lies: then its pose is corrected like a
     captured one's"""

@@ -191,8 +191,8 @@ class _State:
 
 
 class _Fit:
-    """The channels and their bounds. They are T tracks of 4 numbers, padded with zeros, all fitted at
-    once."""
+    """The fit of splines to the channels within their bounds: T tracks of 4 numbers, padded with zeros, all
+    fitted at once."""
 
     def __init__(
         self,

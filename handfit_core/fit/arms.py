@@ -47,7 +47,7 @@ class ArmSettings:
     correlated_seconds: float = 0.5
     """seconds over which what is seen errs alike, so that it tells only once how long the arms are"""
     shoulders: float = 1.8
-    """Distance of the shoulder joints in hand lengths"""
+    """Usual distance of a person's shoulder joints in hand lengths"""
     wrist_sigma: float = 2e-4
     """metres, across the line of sight, by which the arm's wrist may miss the hand's: the hand lies on the
     picture, and the arm hangs on it"""
@@ -76,7 +76,8 @@ class ArmSettings:
     resting_speed: float = 0.015
     """metres per second at which the arm of a resting hand is expected to move"""
     speed_share: float = 1.0
-    """The share of the hand's speed at which the arm of a moving one is expected to move beside that"""
+    """Share of the hand's speed that is added to `resting_speed` as the speed at which the arm of a moving
+    hand is expected to move"""
     overlap_seconds: float = 4.0
     """seconds that two windows of a long clip share"""
     iterations: int = 30
@@ -103,7 +104,7 @@ class ArmsSeen(Batch):
     directions: np.ndarray
     """(T, A, 2, 3) unit vectors of the body network's upper arm and forearm, towards the hand"""
     lengths: np.ndarray
-    """(T, A, 2) metres of the upper arm and the forearm as expected, equal in all frames"""
+    """(T, A, 2) metres: the expected lengths of the upper arm and the forearm, equal in all frames"""
     hand_length: float
     """metres: the length of the fitted hand, in which the settings tell the lengths of arms"""
     camera: Intrinsics
@@ -125,7 +126,7 @@ class Arms(Batch):
     upper: np.ndarray
     """(T, A, 3) unit vectors along the upper arm, from the shoulder to the elbow"""
     lengths: np.ndarray
-    """(T, A, 2) metres of upper arm and forearm, equal in all frames"""
+    """(T, A, 2) metres: the lengths of the upper arm and the forearm, equal in all frames"""
 
     @property
     def points(self) -> np.ndarray:
@@ -290,7 +291,8 @@ class _System:
     cost: np.ndarray
     """(T,) the cost of each frame, in squared sigmas"""
     blocks: np.ndarray
-    """(T, 3 P, P) columns of the matrix: a frame with itself, the next one and the one after"""
+    """(T, 3 P, P) columns of the matrix, in which each frame is coupled with itself, the next frame and the
+    one after"""
     gradient: np.ndarray
     """(T, P) the gradient of the cost by each frame's unknowns"""
     border: np.ndarray
@@ -326,7 +328,7 @@ class ArmFit(CoupledFrames):
     """True if the lengths of the arms are solved for, too; else they stay as they are"""
 
     def blocks(self, state: Arms) -> _System:
-        """The normal equations of the whole clip, and each frame's cost."""
+        """Return the normal equations of the whole clip, and each frame's cost."""
         arms, seen, (count, number) = state, self.seen, state.wrist.shape[:2]
         size, derivatives = number * FREE, arms.derivatives()
         system = _System(*(np.zeros(shape) for shape in (

@@ -29,7 +29,7 @@ FRAME_VARIABLES = 51
 _BAND = 2 * FRAME_VARIABLES + 2
 """Number of the band matrix's subdiagonals, which reach to a rotation's third component two frames on"""
 _HAND = np.r_[0:3, 48:51]
-"""Where the root's rotation and the place stand among a frame's variables. The hand's seventh variable, the
+"""Indices of the root's rotation and of the place among a frame's variables. The hand's seventh variable, the
 zero of depth, is none of these: it is eliminated in each frame"""
 
 
@@ -42,12 +42,12 @@ class MotionPrior:
     place: float
     """metres per frame squared: the standard deviation of the wrist's acceleration"""
     overlap: int = 60
-    """Frames that two windows share: frames farther apart hardly influence each other"""
+    """Number of frames that two windows share: frames farther apart hardly influence each other"""
 
 
 @dataclass(frozen=True, eq=False)
 class ClipProblem(CoupledFrames):
-    """The fit of T consecutive frames at once."""
+    """The least-squares problem of fitting T consecutive frames at once, which motion couples."""
 
     frames: Problem
     """The problem of fitting each frame by itself, with the shape given"""
@@ -58,7 +58,7 @@ class ClipProblem(CoupledFrames):
     """(T,) bool: true for frames whose observation counts; the others follow from their neighbours. None: all
     count"""
     before_each: Callable[[], None] = lambda: None
-    """Called before each window and each of its iterations; may raise to stop"""
+    """A function that is called before each window and each of its iterations, and may raise to stop"""
 
     def blocks(self, state: State) -> Blocks:
         """Return the systems of the single frames, zero in frames that are not observed, and each frame's

@@ -26,7 +26,8 @@ FILE: Final = Path(__file__).parent / "data" / "doubt.npz"
 
 @dataclass(frozen=True)
 class DoubtSettings:
-    """How the network's weights become an expected error, and from which error on a hand is doubtful."""
+    """Settings that turn the network's weights into an expected error, and that say from which error on a
+    hand is doubtful."""
 
     doubtful_error: float = 0.012
     """metres of expected error from which a hand is doubtful: that marks one in eight of the rendered hands
@@ -43,8 +44,8 @@ class DoubtSettings:
     clean_crop_spread: float = 0.0081
     """Spread of the landmarks over several crops of a clean hand, in parts of its size"""
     crop_spread_power: float = 0.25
-    """Power of that spread with which the expected error grows. How far both landmark networks differ counts
-    already, in the expected errors of the points"""
+    """Power of `crop_spread`, relative to a clean hand's, with which the expected error grows. How far both
+    landmark networks differ counts already, in the expected errors of the points"""
     lifted_thumb_factor: float = 1.4
     """Factor of the expected error of a hand whose thumb seems to be lifted off a bent finger that it
     crosses"""
@@ -138,11 +139,12 @@ def lifted_thumb_factor(seen: Observation) -> np.ndarray:
 
 
 def temporal_mean(expected: np.ndarray, times: Times) -> np.ndarray:
-    """(N, 5) geometric means of expected errors (N, 5) over the neighbouring frames in the same shot: errors
-    outlast a frame, and evidence flickers."""
+    """Return geometric means (N, 5) of expected errors (N, 5) in metres over the neighbouring frames in the
+    same shot: errors outlast a frame, and evidence flickers."""
     return np.exp(times.mean(np.log(expected), np.ones(2 * times.radius(DOUBT.window_seconds) + 1)))
 
 
 def doubtful(expected: np.ndarray) -> np.ndarray:
-    """(B,) bool: hands whose fingers' expected errors (B, 5) in metres exceed `doubtful_error` on average."""
+    """Tell which hands are doubtful, (B,) bool: those whose fingers' expected errors (B, 5) in metres exceed
+    `doubtful_error` on average."""
     return expected.mean(axis=1) > DOUBT.doubtful_error

@@ -111,7 +111,7 @@ class FastFitter:
         *,
         solid: bool = False,
     ) -> Problem:
-        """The problem of fitting B hands to an observation, near `seen.anchor`, if there is one.
+        """Make the problem of fitting B hands to an observation, near `seen.anchor`, if there is one.
 
         `solid`: with the terms that couple parts of a hand, so that these do not pass through each other. The
         shape must be given, and the start roughly right: a finger on the wrong side would be held there.

@@ -59,7 +59,7 @@ class Times:
         return min(round(seconds * self.fps), int(self.frames[-1] - self.frames[0]))
 
     def mean(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """(N, n) weighted means of values (N, n) over the neighbouring frames in the same shot.
+        """Return weighted means (N, n) of values (N, n) over the neighbouring frames in the same shot.
 
         `weights` (2 r + 1,) are those of the frames from r before to r after.
         """

@@ -119,7 +119,7 @@ class Observation(Landmarked):
     anchor: PoseAnchor | None = None
     """Poses that the hands are to stay near; None: there are none"""
     self_contact: SelfContact | None = None
-    """Which parts cross and touch; None: not looked for"""
+    """The self-contact of the hands: which parts cross and touch; None where it was not looked for"""
     second: SecondView | None = None
     """The landmarks that a second camera saw of these hands; None where there is no second camera"""
     touches: np.ndarray | None = None
@@ -130,7 +130,8 @@ class Observation(Landmarked):
 
 
 def lines_of_sight(pixels: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
-    """(B, 3) unit vectors, camera frame, towards the means of points (B, 21, 2) in pixels."""
+    """Return unit vectors (B, 3) in the camera frame that point towards the means of points (B, 21, 2) in
+    pixels."""
     rays = intrinsics.rays(pixels.mean(axis=1))
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 

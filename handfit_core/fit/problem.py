@@ -57,12 +57,14 @@ class Problem(LeastSquares):
     seen: Observation
     terms: tuple[Term, ...]
     shape: SharedShape = "given"
-    """Betas are given constants, variables of each hand, or one set of variables for all hands"""
+    """The part of the shape in the fit: "given": betas are constants; "each": variables of each hand; "one":
+    one set of variables for all hands"""
     fixed: FixedJoints | None = None
     """Joints that are no variables of the fit; None where all are variables"""
     angle_bounds: tuple[np.ndarray, np.ndarray] | None = None
-    """(5, 9) and (5, 9) radians between which steps keep the angles: joint limits are so steep that a step,
-    which only knows those that are exceeded already, would overshoot them. None: unbounded"""
+    """The least and the greatest angles, (5, 9) radians each, between which steps keep the fingers: joint
+    limits are so steep that a step, which only knows those that are exceeded already, would overshoot them.
+    None: unbounded"""
 
     def clip_to_bounds(self, state: State, of_fingers: np.ndarray) -> np.ndarray:
         """Clip increments (B, 5, 9) of angles, in radians, to the bounds; angles that lie beyond them already

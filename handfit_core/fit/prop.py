@@ -1,4 +1,5 @@
-"""An object that a hand holds, as triangles: how far away its surface is, and which way is out of it."""
+"""The surface of an object that a hand holds, as triangles: how far away it is, and which way is out of
+it."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ the share of faces where it must be"""
 
 
 def outward(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Corners (F, 3, 3) of the triangles (F, 3) of vertices (V, 3), counter-clockwise seen from outside.
+    """Return the corners (F, 3, 3) of the triangles (F, 3) of vertices (V, 3), in their unit,
+    counter-clockwise seen from outside.
 
     The inside is where the generalized winding number (Jacobson et al. 2013) is above one half, so that a cup
     without a bottom has one. Raises OptionError where it cannot be determined.
@@ -59,7 +61,8 @@ def outward(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 class PropSurface:
-    """The triangles of a prop that lie in the box between `low` (3,) and `high` (3,), in metres."""
+    """The triangles of a prop that lie in the box between the corners `low` (3,) and `high` (3,), in
+    metres."""
 
     def __init__(self, corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
         from scipy.spatial import KDTree
@@ -87,8 +90,8 @@ class PropSurface:
         return len(self._corners)
 
     def gaps(self, points: np.ndarray, within: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
-        """Signed distances (N,) in metres of points (N, 3), negative inside the prop and infinite beyond
-        `within`, and their gradients (N, 3), unit vectors."""
+        """Return signed distances (N,) in metres of points (N, 3) from the prop, negative inside it and
+        infinite beyond `within`, and their gradients (N, 3), unit vectors."""
         near = self._tree.query(points, k=_CANDIDATES, distance_upper_bound=within + self._longest)[1]
         near = np.asarray(near)
         found = np.flatnonzero(near[:, 0] < len(self))
@@ -114,7 +117,8 @@ def _in_box(corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarra
 
 
 def _nearest_in(corners: np.ndarray, normals: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """The places (..., 3) in triangles (..., 3, 3) with unit normals (..., 3) that are nearest to points."""
+    """Return the places (..., 3) in triangles (..., 3, 3) with unit normals (..., 3) that are nearest to
+    `points` (..., 3)."""
     sides = np.roll(corners, -1, axis=-2) - corners
     off = points[..., None, :] - corners
     squared = np.maximum((sides * sides).sum(axis=-1), 1e-30)

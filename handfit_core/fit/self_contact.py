@@ -1,4 +1,5 @@
-"""Self-contact, as landmarks show it: which of two parts is in front where they cross, and which touch."""
+"""Self-contact of hands as their landmarks show it: which of two parts is in front where they cross, and
+which touch."""
 
 from __future__ import annotations
 
@@ -24,12 +25,12 @@ bones"""
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """When parts of a hand are taken to lie over each other, or to touch."""
+    """Settings of when parts of a hand are taken to lie over each other, or to touch."""
 
     vote_seconds: float = 0.12
     """seconds: standard deviation of the weights with which neighbouring frames vote on the order"""
     min_order_sigmas: float = 0.3
-    """Depth difference in expected errors of both depths below which no order is given"""
+    """Depth difference of crossing parts, in expected errors of both depths, below which no order is given"""
     pinch_distance: tuple[float, float] = (0.10, 0.13)
     """Distance of two tips in the picture, in parts of the hand's size, up to which they touch, and from
     which they do not"""

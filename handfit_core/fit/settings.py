@@ -18,22 +18,22 @@ class SolverSettings:
     pinned_tolerance: float = 2e-3
     """Relative decrease of the cost at which to stop where an artist has pinned points or made them touch"""
     shape_frames: int = 48
-    """Frames, evenly spread over a clip, that the hand's one shape is fitted to"""
+    """Number of frames, evenly spread over a clip, that the hand's one shape is fitted to"""
     shape_evidence: float = 3.0
     """How many frames of a clip count as independent evidence of the shape: a landmark's error is much the
     same in all"""
     chunk_frames: int = 512
-    """Frames fitted between two chances to stop; bounds the memory"""
+    """Number of frames that are fitted between two chances to stop; it bounds the memory"""
     solve_batch: int = 128
-    """Frames whose matrices are made, or that are solved, at once in a thread; bounds the memory, and arrays
-    of so many fit into the processor's cache"""
+    """Number of frames whose matrices are made, or that are solved, at once in a thread; it bounds the
+    memory, and arrays of so many fit into the processor's cache"""
     clip_iterations: int = 8
     clip_min_gain: float = 3e-3
     """Relative decrease of the total cost after which a step was the last"""
     clip_damping: float = 1e-6
-    """The first damping of clips, whose slow motions a larger one would hold back"""
+    """First damping of the fits of clips, whose slow motions a larger one would hold back"""
     window_frames: int = 600
-    """Frames that each window of a long clip adds"""
+    """Number of frames that each window of a long clip adds"""
     first_damping: float = 1e-3
     min_damping: float = 1e-7
     max_damping: float = 1e6
@@ -56,7 +56,7 @@ SOLVER: Final = SolverSettings()
 
 @dataclass(frozen=True)
 class MotionSettings:
-    """How hands are expected to move in clips, and where gaps and cuts are."""
+    """Settings of how hands are expected to move in clips, and of where gaps and cuts are."""
 
     rotation_acceleration: float = 12.5
     """radians per second squared: the acceleration that a joint's rotation is expected to have at strength
@@ -180,15 +180,16 @@ class ViewSettings:
     known_focal_sigma: float = 0.02
     """Expected error of the logarithm of a focal length that the file or a person tells"""
     evidence: float = 10.0
-    """Frames that count as one piece of evidence against what is expected of cameras: errors last"""
+    """Number of frames that count as one piece of evidence against what is expected of cameras: errors
+    last"""
     offset_sigma: float = 1.0
     """frames of the slower view: expected error of the offset in time that a search starts from"""
     told_offset_sigma: float = 0.3
     """frames of the slower view: expected error of an offset in time that a person has given"""
     start_frames: int = 30
-    """How many common frames of both views different starts are compared on"""
+    """Number of common frames of both views on which different starts are compared"""
     frames: int = 60
-    """Common frames, evenly spread, that cameras are found from"""
+    """Number of common frames, evenly spread, that cameras are found from"""
     start_iterations: int = 12
     iterations: int = 40
     longest_step: float = 0.5
@@ -202,9 +203,10 @@ class ViewSettings:
     peaks_apart: float = 8.0
     """frames of the slower view by which these peaks of the agreement must lie apart"""
     longest_view: float = 3600.0
-    """seconds at the beginning of a view in which the offset in time is looked for"""
+    """seconds of a view beyond which its offset in time is not looked for"""
     weak_score: float = 0.15
-    """Agreement of fingers' motions below which the offset is not believed, and more starts are tried"""
+    """Agreement of the fingers' motions in both views below which an offset in time is not believed, and more
+    starts are tried"""
     most_starts: int = 16
     """How many offsets in time are tried at most in place of peaks that are too weak to be believed"""
     seen_within: float = 0.75
@@ -250,8 +252,8 @@ class ViewSettings:
     """Median over the frames of the root mean square of a frame's residuals, in sigmas, as usual where views
     agree"""
     residual_power: float = 0.25
-    """Power of that residual with which the expected error grows: their rank correlation with the true error
-    is best so"""
+    """Power of the residual, relative to `usual_residual`, with which the expected error grows: the rank
+    correlation of expected and true errors is best so"""
     fit_depth_factor: float = 6.0
     """Factor of the depth's expected errors in the final fit to both views"""
 

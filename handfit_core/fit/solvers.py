@@ -23,7 +23,8 @@ MOST_SMOOTHING: Final = 10.0
 """The strongest smoothing that may be asked for, where 0 takes every frame by itself"""
 
 OnFrame = Callable[[], None]
-"""Called once for every frame that is done; may raise to end the run with nothing."""
+"""A function that is called once for every frame that is done, and may raise to end the run without a
+result."""
 
 ShouldStop = Callable[[], bool]
 """A function that is asked between frames, or groups of them, whether to stop: when it returns True, what is
@@ -36,7 +37,7 @@ def never() -> bool:
 
 
 class TrackSolver(Protocol):
-    """Fits one hand model to one detected track, seen through one camera."""
+    """A function that fits one hand model to one detected track, seen through one camera."""
 
     def __call__(
         self,

@@ -15,7 +15,7 @@ CROSSING_STARTS: Final = 1 + 4 * (CROSSING // 3) + CROSSING % 3
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """How the Q pairs of bones `CROSSING` of B hands lie to each other in the picture."""
+    """The crossings, in the picture, of the Q pairs of bones in `CROSSING`, of B hands."""
 
     along: np.ndarray
     """(B, Q, 2) how far along each of the two bones it is nearest to the other one, from 0 at its beginning

@@ -19,8 +19,8 @@ SAME_ASPECT: Final = 0.01
 """Share by which the aspect ratio of pictures may differ from that of the measured ones, since sides are
 rounded"""
 _LEAST_SLOPE: Final = 0.3
-"""Where the seen radius grows more slowly than this with the true one, the polynomial is about to fold over
-and means nothing"""
+"""Slope of the seen radius over the true one, below which the polynomial is about to fold over and means
+nothing"""
 _NEWTON_STEPS: Final = 12
 """Number of Newton's steps by which distortion is taken out: exact to 1e-9 px in the corners of wide
 webcams"""

@@ -14,11 +14,11 @@ from handfit_core.geometry.camera import Intrinsics
 def picture_to_region(
     intrinsics: Intrinsics, camera: np.ndarray, perspective: np.ndarray, size: tuple[int, int]
 ) -> np.ndarray:
-    """The (3, 3) map of homogeneous pixels (x, y, 1) of the upright picture to those of a region.
+    """Return the (3, 3) map of homogeneous pixels (x, y, 1) of the upright picture to pixels of a region.
 
     camera (4, 4): the camera object's matrix_world; its scale does not matter. perspective (4, 4): the
-    region's `RegionView3D.perspective_matrix`. size: the region's width and height. Regions count
-    pixels from their lower left corner, upwards.
+    region's `RegionView3D.perspective_matrix`. size: the region's width and height. Regions count pixels from
+    their lower left corner, upwards.
     """
     rays = np.array(
         [

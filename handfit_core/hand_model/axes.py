@@ -97,7 +97,7 @@ def bone_frames(shaped: ShapedHand, side: Side) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class RestPose:
-    """The 16 bones of a rig at rest, in MANO's joint order, and their poses relative to it.
+    """The 16 bones of a rig at rest, in MANO's joint order, and the frames that their poses are told in.
 
     Poses of bones are quaternions (N, 16, 4) as (w, x, y, z), each relative to its bone's rest, and the wrist
     bone's locations (N, 3) in metres along its own axes.

@@ -20,7 +20,7 @@ from handfit_core.geometry import rotations
 
 @dataclass(frozen=True)
 class ModelLimits:
-    """The most that a model and its file may hold."""
+    """Limits of what a model and its file may hold."""
 
     vertices: int = 50_000
     """Most vertices of a model's mesh; MANO's has 778, the open hand's 1609"""
@@ -87,7 +87,7 @@ class HandModel:
     hands_components: np.ndarray = array(45, 45, finite="all", most=LIMITS.number)
     """(45, 45) principal directions of the pose, in rows"""
     tip_vertices: np.ndarray = array(len(FINGERS), kind="i")
-    """Vertex index of each fingertip: thumb, index, middle, ring, little"""
+    """(5,) vertex numbers of the fingertips: thumb, index, middle, ring, little"""
     quads: np.ndarray | None = array("Q", 4, kind="i", most_rows=LIMITS.faces, default=None)
     """(Q, 4) vertex indices of the faces for artists; None where the model has only triangles"""
     uv: np.ndarray | None = array("U", 2, finite="all", most=LIMITS.number, default=None)
@@ -96,7 +96,7 @@ class HandModel:
     """Indices of texture coordinates in `uv`, for each corner of quads (or of faces where quads is None);
     None where the model has none"""
     source: str = field(default="")
-    """Path of the file it came from, or empty for the bundled open hand"""
+    """Path of the file that the model was read from; empty for the bundled open hand"""
 
     @property
     def polygons(self) -> np.ndarray:
@@ -130,11 +130,11 @@ class HandModel:
     def posed(
         self, betas: np.ndarray | None, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray
     ) -> ShapedHand:
-        """Linear blend skinning as MANO (Romero, Tzionas, Black 2017) defines it.
+        """Pose the mesh by linear blend skinning as MANO (Romero, Tzionas, Black 2017) defines it.
 
-        betas (10,) or None; global_orient (..., 3) and hand_pose (..., 45) axis-angle in radians;
-        transl (..., 3) metres. The root rotates about the wrist joint, then transl is added, so the
-        wrist ends at shaped(betas).joints[0] + transl.
+        betas (10,) or None; global_orient (..., 3) and hand_pose (..., 45) axis-angle in radians; transl
+        (..., 3) metres. The root rotates about the wrist joint, then transl is added, so the wrist ends at
+        shaped(betas).joints[0] + transl.
         """
         vertices, joints = self.skinned(slice(None), betas, global_orient, hand_pose, transl)
         return ShapedHand(vertices, joints, vertices[..., self.tip_vertices, :])

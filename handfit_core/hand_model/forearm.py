@@ -43,8 +43,8 @@ _CAP: Final = 0.1
 """Height of the cap, in parts of the length from the middle knuckle to the edge"""
 
 _BEND: Final = (-0.06, 0.26)
-"""Where the wrist's skin bends: distances behind the wrist joint, in parts of the length from the middle
-knuckle to it"""
+"""Distances behind the wrist joint between which the wrist's skin bends, in parts of the length from the
+middle knuckle to the joint"""
 
 
 def wrist_ring(polygons: np.ndarray) -> np.ndarray:

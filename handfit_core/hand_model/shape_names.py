@@ -20,8 +20,7 @@ _LONG_FINGERS: Final = tuple(finger for finger in FINGERS if finger != "thumb")
 
 def shape_names(model: HandModel) -> tuple[str | None, ...]:
     """Return for each of the ten betas the name of what its positive direction does, such as "Longer
-    Fingers"; None where no single effect dominates, and where another coefficient does the same more
-    purely."""
+    Fingers"; None where no single effect dominates, and where another coefficient does so more purely."""
     shares = effect_shares(model)
     names: list[str | None] = [None] * NUM_BETAS
     for beta, row in enumerate(shares):

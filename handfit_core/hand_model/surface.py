@@ -58,7 +58,7 @@ overlap"""
 
 @dataclass(frozen=True, eq=False)
 class Capsules:
-    """Tapered capsules of B hands. Metres, in the frame that the hands are in."""
+    """Tapered capsules around the bones of B hands, in metres, in the frame that the hands are in."""
 
     ends: np.ndarray
     """(B, 19, 2, 3) metres: both ends of the capsules' axes, the end nearer to the wrist first"""

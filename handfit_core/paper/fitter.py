@@ -110,7 +110,7 @@ def _wrist_to_index(keypoints: np.ndarray) -> float:
 
 
 class PaperFitter:
-    """Fits one hand model, frame by frame. Keeps the torch layer between frames."""
+    """The fitter of one hand model to single frames; it keeps the torch layer between frames."""
 
     def __init__(self, model: HandModel, options: PaperOptions) -> None:
         # These need torch, without which the experiments still have names and titles.

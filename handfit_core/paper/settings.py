@@ -13,10 +13,10 @@ class PaperSettings:
     max_iterations: int = 500
     """Most iterations of scipy's minimiser, as in the published code"""
     prior_tolerance: float = 1e-5
-    """Relative change of the cost at which the variant with a prior stops; scipy's own, which the published
-    experiments use, costs more iterations for a thousandth of the cost."""
+    """Relative change of the cost at which the variant with a prior stops; scipy's own tolerance, which the
+    published experiments use, costs more iterations for a thousandth of the cost."""
     shape_frames: int = 8
-    """Frames, evenly spread over a clip, that decide the hand's one shape"""
+    """Number of frames, evenly spread over a clip, that decide the hand's one shape"""
     tip_weight: float = 4.0
     """Weight of the loss of the fingertips where they count again, as in the published code"""
     geman_mcclure_rho: float = 100.0

@@ -1,5 +1,5 @@
-"""What the paper's experiments minimise, in torch: losses, anatomical limits, and, not in the paper, a pull
-towards a relaxed hand and a last stage through the camera.
+"""The costs that the paper's experiments minimise, in torch: losses, anatomical limits, and, not in the
+paper, a pull towards a relaxed hand and a last stage through the camera.
 
 Residuals are in millimetres, per coordinate; each loss is a mean over all of them.
 """

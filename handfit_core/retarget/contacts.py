@@ -59,13 +59,15 @@ class TouchSettings:
         (6.0, 4.0, 1.0),
         (6.0, 4.0, 1.0),
     )
-    """Diagonal of M of the thumb's three joints: twist, spread and bend"""
+    """Cost of a radian squared, on the diagonal of M, for twist, spread and bend of each of the thumb's three
+    joints"""
     finger_turn_cost: tuple[tuple[float, float, float], ...] = (
         (math.inf, 4.0, 2.0),
         (math.inf, math.inf, 2.0),
         (math.inf, math.inf, 3.0),
     )
-    """Diagonal of M of the other fingers' joints; infinite: fixed"""
+    """Cost of a radian squared, on the diagonal of M, for twist, spread and bend of each of the other
+    fingers' joints; infinite: the angle is fixed"""
     open_share: float = 0.02
     """The number e of the module's formula: the share of a gap that stays open where both skins touch"""
     sliding_share: tuple[float, float] = (0.9, 0.5)
@@ -77,11 +79,11 @@ class TouchSettings:
     max_steps: int = 20
     """Most steps of the search for the joints' angles"""
     tolerance: float = 1e-11
-    """Relative decrease of the cost at which the search ends"""
+    """Relative decrease of the cost at which the search for the joints' angles ends"""
     solve_frames: int = 32
-    """Frames that are solved in one step of work"""
+    """Number of frames that are solved in one step of work"""
     detect_frames: int = 256
-    """Frames in which touches are detected in one step of work"""
+    """Number of frames in which touches are detected in one step of work"""
 
 
 TOUCHES: Final = TouchSettings()
@@ -109,7 +111,7 @@ class Fingertips:
 
 @dataclass(frozen=True, eq=False)
 class Touches(Batch):
-    """Which fingertips of a captured hand touch in each of T frames."""
+    """The touches between a captured hand's fingertips in T frames, by the pairs of `PAIRS`."""
 
     weights: np.ndarray
     """(T, 10) 0..1 by `PAIRS`: how much each touch is to be kept, smooth in time; exactly 0 where none is"""

@@ -1,4 +1,5 @@
-"""Which bones of a skeleton are a hand: by how they branch and where they lie, and by what they are called.
+"""Recognition of the bones of a skeleton that are a hand: by how they branch and where they lie, and by what
+they are called.
 
 A hand is a bone from which chains of bones fan out. The thumb is the chain that begins nearest the wrist and
 points elsewhere; the others stand in a row away from it. Which bone is a finger's first is told by places: a
@@ -517,7 +518,8 @@ def _hand(bones: Bones, hand: int, chains: list[_Chain]) -> Found | None:
 
 
 def _rig(reading: _Reading, thumb: int, others: list[int]) -> str:
-    """Return the name of the rig whose bones have these names."""
+    """Return the name of the rig whose bones are named so, or a phrase that says how the hand was read where
+    no rig's are."""
     first = [parsed(reading.bones.names[reading.starts[i]]).left for i in (thumb, others[0])]
     said = "/".join(re.sub(r"^(?:DEF-|(?!mixamorig)\w+:)", "", name) for name in first)
     return next((label for label, pattern in _RIGS if re.fullmatch(pattern, said)), "By names and structure")
@@ -544,8 +546,8 @@ def left_out(bones: Bones, hand_map: HandMap) -> dict[str, list[str]]:
 _FOREARM = ("forearm", "lowerarm", "elbow", "ひじ", "前腕")
 _UPPER_ARM = ("arm", "shldr", "腕")
 _NOT_ARM = ("twist", "roll", "捩", "armature")
-"""Words of which `Name.words` of an arm's bones have none; a clavicle may be called a shoulder, as an upper
-arm may"""
+"""Words that tell forearms and upper arms in `Name.words`, and words that no bone of an arm has; a clavicle
+may be called a shoulder, as an upper arm may"""
 
 
 def named_arm(chain: Sequence[str]) -> tuple[int, int] | None:

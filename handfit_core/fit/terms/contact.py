@@ -17,9 +17,9 @@ _PAIRS: Final = np.array([int(np.flatnonzero((tips == PAIRS).all(axis=1))[0]) fo
 
 
 class Contact:
-    """One row for each pair of `seen.self_contact.pinch`: the gap g between their skins, with Geman and
-    McClure's kernel, s / (1 + s (touch_sigma / robust_scale)^2) of s = (g / touch_sigma)^2. One row for each
-    of `seen.touches`: g / user_touch_sigma."""
+    """The gaps between skins that touch: one row for each pair of `seen.self_contact.pinch`, of the gap g
+    between its skins, with Geman and McClure's kernel, s / (1 + s (touch_sigma / robust_scale)^2) of s = (g /
+    touch_sigma)^2; and one row for each of `seen.touches`: g / user_touch_sigma."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface

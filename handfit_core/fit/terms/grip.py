@@ -14,9 +14,9 @@ from handfit_core.hand_model.surface import cross
 
 
 def grip(posed: Posed, seen: Observation) -> SkinRows:
-    """One row for each point of `seen.grip`, which must be there, that penetrates the prop: r = depth /
-    prop_penetration_sigma. One row for the nearest point of each pad that is drawn: r = drawn gap /
-    prop_touch_sigma."""
+    """Return one row for each point of `seen.grip`, which must be there, that penetrates the prop: r = depth
+    / prop_penetration_sigma; and one row for the nearest point of each pad that is drawn to it: r = drawn gap
+    / prop_touch_sigma."""
     assert seen.grip is not None
     aim: Grip = seen.grip
     places, gaps, out = aim.gaps(posed)

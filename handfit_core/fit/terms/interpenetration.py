@@ -12,8 +12,8 @@ from handfit_core.hand_model.surface import FINGER_OF_BONE, Surface
 
 
 class Interpenetration:
-    """One row for each pair of parts that overlap: r = (depth - compression) / penetration_sigma, or /
-    edit_penetration_sigma."""
+    """The overlap of a hand's parts: one row for each pair that overlaps, r = (depth - compression) /
+    penetration_sigma, or / edit_penetration_sigma where an artist corrects the pose."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface

@@ -23,8 +23,8 @@ _PER_RADIAN = (1.0 - TERMS.bent_spread_share) / (np.pi / 2) * np.array([0.0, 1.0
 
 
 class Limits:
-    """Nine rows for each finger, zero inside the range: r = (a - upper) / sigma above, (a - lower) / sigma
-    below.
+    """The violation of joint limits: nine rows for each finger, zero inside the range, r = (a - upper) /
+    sigma above it and (a - lower) / sigma below it.
 
     A knuckle's range of spread is scaled by 1 - (1 - bent_spread_share) * bend / 90 degrees, bend within
     0..90. All ranges are wider by `CLOSED_HAND_MARGIN`; where hands are to stay near a pose, by

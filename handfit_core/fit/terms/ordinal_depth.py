@@ -13,9 +13,10 @@ from handfit_core.hand_model.surface import FINGER_OF_BONE, Surface
 
 
 class OrdinalDepth:
-    """One row for each crossing of `seen.self_contact`: r = (separation - distance in the observed order) /
-    order_sigma where that is positive. Parts farther apart than that cost nothing, unless they are in
-    contact: then r / contact_sigma with Geman and McClure's kernel, as in `contact`."""
+    """The order in depth of crossing parts: one row for each crossing of `seen.self_contact`, r = (separation
+    - distance in the observed order) / order_sigma where that is positive. Parts farther apart than that cost
+    nothing, unless they are in contact: then r / contact_sigma with Geman and McClure's kernel, as in
+    `contact`."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface

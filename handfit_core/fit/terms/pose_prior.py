@@ -12,8 +12,9 @@ from handfit_core.hand_model.chain import Posed
 
 
 class PosePrior:
-    """Nine rows for each finger: W (a - mean), whose squares are the Mahalanobis distance, times
-    `pose_weight`, or `pinned_pose_weight`."""
+    """The distance of fingers from usual poses: nine rows for each finger, W (a - mean), whose squares are
+    the Mahalanobis distance, times `pose_weight`, or `pinned_pose_weight` where an artist has pinned
+    points."""
 
     def __init__(self, mean: np.ndarray, covariance: np.ndarray, side: Side = "right") -> None:
         """Take the mean (5, 9), in radians, and the covariance (5, 9, 9) of right hands' angles, for hands of

@@ -1,4 +1,4 @@
-"""Reprojection error: where landmarks project against where they were seen, in pixels."""
+"""Reprojection error of the landmarks: the pixels between where they project and where they were seen."""
 
 from __future__ import annotations
 

@@ -20,10 +20,11 @@ POINTS: Group = "points"
 FINGERS: Group = "fingers"
 """5 groups of rows, as in `skeleton.FINGERS`: derivatives by the finger's nine angles, radians"""
 HAND: Group = "hand"
-"""One group of rows: derivatives by the hand's own 17 variables, as `hand_model.chain` orders them"""
+"""The kind of rows that belong to a hand as one group: derivatives by the hand's own 17 variables, as
+`hand_model.chain` orders them"""
 
 SIZES: dict[Group, tuple[int, int]] = {POINTS: (21, 4), FINGERS: (5, 9), HAND: (1, HAND_SIZE)}
-"""How many groups of a kind a hand has, and how many derivatives their rows have"""
+"""For each kind of rows, how many groups of it a hand has, and how many derivatives their rows have"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +35,9 @@ class Rows:
     columns: np.ndarray
     """(B, count, c, derivatives + 1) for each residual its derivatives, and the residual itself last"""
     certain: np.ndarray | None = None
-    """(B, count) bool: residuals that count with their square, however large. The others have Huber's kernel
-    with delta 1 on the norm of a point's rows: square up to one sigma, linear beyond. None: all are
-    certain"""
+    """(B, count) bool: true for residuals that count with their square, however large. The others have
+    Huber's kernel with delta 1 on the norm of a point's rows: square up to one sigma, linear beyond. None:
+    all are certain"""
 
     @classmethod
     def zeros(cls, of: Group, batch: int, count: int) -> Rows:
