@@ -126,8 +126,8 @@ def propagate_in_time(displaced: np.ndarray, frames: np.ndarray, fps: float) -> 
 
 
 def apply_pins(seen: Landmarked, pins: np.ndarray, uncertainty: np.ndarray) -> Landmarked:
-    """Return the landmarks `seen` with pins (N, 21, 2), in pixels, in their place, and with `uncertainty` (N,
-    21) in pixels added to the expected errors."""
+    """Return the landmarks `seen` with pins (N, 21, 2), in pixels, in their place, and with `uncertainty`
+    (N, 21) in pixels added to the expected errors."""
     at = np.asarray(np.isfinite(pins).all(axis=-1))
     sigma = np.hypot(seen.pixel_sigma, PINS.sigma_per_pixel * uncertainty[..., None])
     return replace(

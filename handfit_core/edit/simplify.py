@@ -41,8 +41,8 @@ class Channels:
     """The channels that one bone or control moves by, with their values on N dense frames."""
 
     values: np.ndarray
-    """(N, C) values on the dense frames: quaternions (w, x, y, z) of length 1 and steady sign, (angle, x, y,
-    z), Euler angles, or a location; radians, and the armature's units"""
+    """(N, C) values on the dense frames: quaternions (w, x, y, z) of length 1 and steady sign,
+    (angle, x, y, z), Euler angles, or a location; radians, and the armature's units"""
     mode: str
     """The kind of these values: QUATERNION, AXIS_ANGLE, an order of Euler angles such as XYZ, or LOCATION"""
     group: int = 0

@@ -116,8 +116,8 @@ class ClipProblem(CoupledFrames):
         return sigma[1:-1]
 
     def _add_motion(self, band: np.ndarray, state: State) -> np.ndarray:
-        """Add the matrices of the acceleration terms to `band` in place, and return their gradients (T,
-        51)."""
+        """Add the matrices of the acceleration terms to `band` in place, and return their gradients
+        (T, 51)."""
         count = len(state)
         gradient = np.zeros((count, FRAME_VARIABLES))
         view = band.T.reshape(count, FRAME_VARIABLES, _BAND + 1).transpose(2, 0, 1)

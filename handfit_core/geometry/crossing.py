@@ -46,8 +46,8 @@ class Crossing:
 
 @np.errstate(all="ignore")
 def _nearest(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find where segments a-b and c-d, of ends (..., 2), are nearest to each other: how far along both (...,
-    2), 0..1, and how near (...,)."""
+    """Find where segments a-b and c-d, of ends (..., 2), are nearest to each other: how far along both
+    (..., 2), 0..1, and how near (...,)."""
     ab, cd, off = b - a, d - c, c - a
 
     def foot(point: np.ndarray, start: np.ndarray, axis: np.ndarray) -> np.ndarray:

@@ -66,8 +66,8 @@ class Lens:
         )
 
     def undistorted(self, points: np.ndarray) -> np.ndarray:
-        """Take the distortion out of points: return for pixels (..., 2), as they are seen, the pixels (...,
-        2) at which `intrinsics` sees the same rays.
+        """Take the distortion out of points: return for pixels (..., 2), as they are seen, the pixels
+        (..., 2) at which `intrinsics` sees the same rays.
 
         A point beyond the picture's corners, or where the polynomial folds over, is moved as far as the last
         point before it on its radius.

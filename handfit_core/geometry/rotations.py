@@ -90,8 +90,8 @@ def rotmat_to_quat(rotmat: np.ndarray) -> np.ndarray:
 
 
 def quat_to_rotmat(quat: np.ndarray) -> np.ndarray:
-    """Convert quaternions (..., 4) as (w, x, y, z), which are normalised here, to rotation matrices (..., 3,
-    3)."""
+    """Convert quaternions (..., 4) as (w, x, y, z), which are normalised here, to rotation matrices
+    (..., 3, 3)."""
     quat = np.asarray(quat, dtype=np.float64)
     quat = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
     across = skew(quat[..., 1:])
@@ -120,8 +120,8 @@ def rotvec_to_quat(rotvec: np.ndarray) -> np.ndarray:
 
 
 def channels_to_quat(values: np.ndarray, mode: str) -> np.ndarray:
-    """Convert rotations (N, 3 or 4), as Blender's channels have them, to unit quaternions (N, 4) as (w, x, y,
-    z).
+    """Convert rotations (N, 3 or 4), as Blender's channels have them, to unit quaternions (N, 4) as
+    (w, x, y, z).
 
     `mode` is Blender's: QUATERNION of any length (zero: no rotation), AXIS_ANGLE as (angle, x, y, z), or the
     order of Euler angles in radians, such as XYZ, whose first turn is about X.

@@ -115,8 +115,8 @@ class RestPose:
     def to_bones(
         self, shaped: ShapedHand, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pose of the bones, with which the rig stands where a take has the hand: quaternions (N,
-        16, 4) and the wrist's locations (N, 3) in metres.
+        """Return the pose of the bones, with which the rig stands where a take has the hand: quaternions
+        (N, 16, 4) and the wrist's locations (N, 3) in metres.
 
         `shaped` is the hand that the rig has; global_orient (N, 3) and hand_pose (N, 45) axis-angle in
         radians, model frame to camera frame; transl (N, 3) metres, camera frame.

@@ -80,8 +80,8 @@ def with_wrist(model: HandModel, wrist: Wrist) -> HandModel:
     knuckle = model.joint_regressor[FINGER_JOINTS["middle"][0]]
 
     def extended(values: np.ndarray) -> np.ndarray:
-        """Extend values of the vertices, or of a direction in which they move, from (V, 3, ...) to (V + N, 3,
-        ...)."""
+        """Extend values of the vertices, or of a direction in which they move, from (V, 3, ...) to
+        (V + N, 3, ...)."""
         added = _behind(values[ring], np.tensordot(knuckle, values, 1), wrist)
         return np.concatenate([values, added])
 
@@ -184,8 +184,8 @@ def _texture(model: HandModel, ring: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _triangles(sides: np.ndarray, lid: np.ndarray) -> np.ndarray:
-    """Split the sides' quads and join them to the lid's triangles, as `_polygons` gives them: (2 S + R,
-    3)."""
+    """Split the sides' quads and join them to the lid's triangles, as `_polygons` gives them:
+    (2 S + R, 3)."""
     return np.concatenate([sides[:, [0, 1, 2]], sides[:, [0, 2, 3]], lid])
 
 

@@ -71,8 +71,8 @@ class Capsules:
     def of(
         self, hand: np.ndarray, bones: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the capsules of pairs of bones (K, 2) of the hands `hand` (K,): ends (K, 2, 3) and radii (K,
-        2) of the first bones, then of the second ones, in metres."""
+        """Return the capsules of pairs of bones (K, 2) of the hands `hand` (K,): ends (K, 2, 3) and radii
+        (K, 2) of the first bones, then of the second ones, in metres."""
         a, b = bones.T
         return self.ends[hand, a], self.radii[hand, a], self.ends[hand, b], self.radii[hand, b]
 

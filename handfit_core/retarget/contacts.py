@@ -225,8 +225,8 @@ def _slices(value: np.ndarray) -> Generator[tuple[np.ndarray, float], None, None
 
 
 def _nearest(ends: np.ndarray, radii: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find where pairs (P, 2) of skins are nearest to each other, from their ends (N, 5, 2, 3) and radii (5,
-    2): where on both axes, (N, P, 2), and how near, (N, P) in metres."""
+    """Find where pairs (P, 2) of skins are nearest to each other, from their ends (N, 5, 2, 3) and radii
+    (5, 2): where on both axes, (N, P, 2), and how near, (N, P) in metres."""
     first, second = (ends[:, some].reshape(-1, 2, 3) for some in pairs.T)
     radii_a, radii_b = (np.tile(radii[some], (len(ends), 1)) for some in pairs.T)
     along = nearest_along(first, radii_a, second, radii_b)
@@ -345,8 +345,8 @@ class _Chains:
         )
 
     def problem(self, standing: np.ndarray, found: Touches) -> _Problem:
-        """Make the problem of N frames with touches, whose bones stand as captured: `standing` (N, K, 3,
-        3)."""
+        """Make the problem of N frames with touches, whose bones stand as captured: `standing`
+        (N, K, 3, 3)."""
         # How bones are turned from where ours rest, in our rest space
         laid = self.target.aligned.T @ standing @ np.swapaxes(self.target.rest, -1, -2)
         whole = laid @ np.swapaxes(self.target.corrected, -1, -2) @ self.target.aligned
