@@ -71,8 +71,8 @@ class SecondSight:
 
 def second_sight(take: Take, hand: HandTrack, rows: np.ndarray) -> SecondSight | None:
     """Collect the second camera's detections of a hand around the frames `rows` (T,) of a take; None where
-    the take has one view. A few more at both ends are taken along, so that pixels between its own frames are
-    as in the whole take."""
+    the take has one view. A few more at both ends are taken along, so that pixels between the second view's
+    frames are as in the whole take."""
     if take.cameras is None:
         return None
     view, numbers = take.cameras.views[0], np.asarray(take.frame_numbers)

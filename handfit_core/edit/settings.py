@@ -65,7 +65,8 @@ class EditSettings:
     draft_iterations: int = 6
     """Most iterations while a point is dragged; few, as each answer continues from the one before"""
     frames_around: float = 4.0
-    """frames of a second view that are taken along before and after those that are fitted again"""
+    """Number of a second view's frames that are taken along before and after the time of the frames that are
+    fitted again"""
     most_remembered: int = 32
     """Number of detections whose landmarks are kept for the next draft"""
     free_draft_iterations: int = 10

@@ -32,8 +32,8 @@ _BOUND_SHARE = 0.999
 _NEAREST = 1e-3
 """metres in front of the camera, nearer than which points are not judged in pixels"""
 _SEGMENT_FRAMES = 20
-"""Number of dense frames of a segment in which the keys are kept as they were before a thinning, if that left
-no fewer"""
+"""Length, in dense frames, of the segments into which a clip is split when, for each of them, the fewer keys
+of two choices are taken"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,8 +44,9 @@ class DoubtSettings:
     clean_crop_spread: float = 0.0081
     """Spread of the landmarks over several crops of a clean hand, in parts of its size"""
     crop_spread_power: float = 0.25
-    """Power of `crop_spread`, relative to a clean hand's, with which the expected error grows. How far both
-    landmark networks differ counts already, in the expected errors of the points"""
+    """Power of the landmarks' spread over several crops, relative to `clean_crop_spread`, with which the
+    expected error grows. How far both landmark networks differ counts already, in the expected errors of the
+    points"""
     lifted_thumb_factor: float = 1.4
     """Factor of the expected error of a hand whose thumb seems to be lifted off a bent finger that it
     crosses"""

@@ -55,12 +55,13 @@ def solve(
     min_gain: float | None = None,
     first_damping: float | None = None,
 ) -> Solution[S]:
-    """Minimise the cost of B problems from `start` (B). `first_damping`: None for `SOLVER`'s.
+    """Minimise the cost of B problems from `start` (B). `first_damping`: None for that of the settings,
+    `SOLVER`.
 
     A problem ends when its next step is predicted to decrease the cost by no more than `tolerance` times the
     cost; that step is not tried. It also ends after a step that decreased it by less than `min_gain` times
-    the cost, None for `SOLVER.min_gain_of_tolerance` times the tolerance. A problem whose cost
-    is not finite at the start ends at once, with the status `NO_NUMBERS`.
+    the cost, None for `SOLVER.min_gain_of_tolerance` times the tolerance. A problem whose cost is not finite
+    at the start ends at once, with the status `NO_NUMBERS`.
     """
     together = problem.together
     min_gain = SOLVER.min_gain_of_tolerance * tolerance if min_gain is None else min_gain

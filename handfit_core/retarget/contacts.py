@@ -135,8 +135,8 @@ class ContactResult:
     """A character's hand whose fingertips touch where the captured ones do, over T frames."""
 
     standing: np.ndarray
-    """(T, K, 3, 3) how the bones stand, as `TargetHand.standing` has them; numbers for fingers that touch
-    nothing are exactly as captured"""
+    """(T, K, 3, 3) how the bones stand in the armature's space while the hand is at rest; where a finger
+    touches nothing, exactly as `TargetHand.standing` gives it"""
     apart: np.ndarray
     """(T,) metres, at the captured hand's scale, by which the gap between skins that touch now differs from
     the captured one, at the worst; 0 where none touch"""
@@ -217,8 +217,8 @@ def keeping_contacts(
 
 
 def _slices(value: np.ndarray) -> Generator[tuple[np.ndarray, float], None, None]:
-    """Yield the frames whose `value` (T,) is not zero, some at a time, and the share of them that is done
-    with these."""
+    """Yield the frames whose `value` (T,) is not zero, some at a time, each time with the share, 0..1, that
+    is done with them."""
     rows = np.flatnonzero(value)
     for start in range(0, len(rows), TOUCHES.solve_frames):
         yield rows[start : start + TOUCHES.solve_frames], min((start + TOUCHES.solve_frames) / len(rows), 1.0)
