@@ -1,4 +1,4 @@
-"""Hands that a person lays into a picture in which nothing is detected. For Blender too."""
+"""Hands that a person lays into a picture in which no hand was detected. Blender uses this module, too."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from handfit_core.take import HandTrack, Take
 
 Seen = Literal["back", "palm"]
 WRIST, KNUCKLE = 0, 9
-"""The two keypoints that say where a hand lies: the second is the middle finger's knuckle"""
+"""The two keypoints that say where a hand lies: its wrist, and the middle finger's knuckle"""
 USUAL_PALM = 0.12
-"""Default length of the palm, in parts of the picture's shorter side"""
+"""Default length of the palm, as a share of the picture's shorter side"""
 
 
 def laid(
     model: HandModel, intrinsics: Intrinsics, wrist: np.ndarray, knuckle: np.ndarray, seen: Seen = "back"
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """global_orient (3,), hand_pose (45,) and transl (3,) of a relaxed hand of the mean shape, parallel to
-    the picture, with its wrist and the middle finger's knuckle at these pixels (2,), so that its back or its
-    palm is `seen`. Raises OptionError where the two are one point."""
+    """Return global_orient (3,) and hand_pose (45,) in radians, and transl (3,) in metres, of a relaxed hand
+    of the mean shape, parallel to the picture, with its wrist and the middle finger's knuckle at these pixels
+    (2,), so that its back or its palm is `seen`. Raises OptionError where the two are one point."""
     step = (np.asarray(knuckle, dtype=np.float64) - wrist) / (intrinsics.fx, intrinsics.fy)
     length = float(np.linalg.norm(step))
     if not length * intrinsics.fx >= 1.0:
@@ -50,7 +50,7 @@ def laid(
 
 
 def _axes(along: np.ndarray, back: np.ndarray) -> np.ndarray:
-    """(3, 3) in columns: along the palm, out of its back, and across."""
+    """Return the axes of a hand as columns (3, 3): along the palm, out of its back, and across both."""
     along = along / np.linalg.norm(along)
     back = back - along * (along @ back)
     back /= np.linalg.norm(back)
@@ -60,8 +60,8 @@ def _axes(along: np.ndarray, back: np.ndarray) -> np.ndarray:
 def with_added(
     take: Take, model: HandModel, row: int, wrist: np.ndarray, knuckle: np.ndarray, seen: Seen = "back"
 ) -> Take:
-    """The take with one more hand, of the model's side, `laid` into its frame `row` and absent in all others.
-    Raises OptionError."""
+    """Return the take with one more hand, of the model's side, which is `laid` into its frame `row` and
+    absent in all others. Raises OptionError where wrist and knuckle are one point."""
     laid_pose = laid(model, take.intrinsics, wrist, knuckle, seen)
     pose = (scatter(each[None], [row], len(take.frame_numbers)) for each in laid_pose)
     motion = HandMotion(model.side, np.zeros(NUM_BETAS), *pose)

@@ -44,19 +44,22 @@ from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotve
 
 FORMAT_VERSION: Final = 1
 _ALWAYS_KEPT: Final = ("pins", "spread", "added_key")
-"""Fields that every correction's text has; the others are left out where they are empty"""
+"""Fields that the text of every correction has; the other fields are left out where they are empty"""
 
 _MIN_CHANGE: Final = 0.01
-"""radians, or tenths of a metre, from which a change shows whether a key is the corrected one"""
+"""radians, or tenths of a metre, from which on a change counts when a frame's key is compared with the
+corrected one"""
 
 Pins = Mapping[int, tuple[float, float]]
-"""Keypoint index -> (x, y) pixels of the upright picture"""
+"""The pins of a frame: from the number of each pinned keypoint to its (x, y) pixels in the upright picture"""
 Touches = Mapping[int, int]
-"""Keypoint index -> the smaller one that it touches, as `RefineHand.touches` has it"""
+"""The touches of a frame: from the number of a keypoint to the smaller number of the one that it touches, as
+in `RefineHand.touches`"""
 
 
 def point_rows(pins: Sequence[Pins], touches: Sequence[Touches]) -> tuple[np.ndarray, np.ndarray]:
-    """Pins (N, 21, 2) in pixels and touches (N, 21) of N frames as arrays; NaN where there are none."""
+    """Return the pins (N, 21, 2) in pixels and the touches (N, 21) of N frames as arrays, NaN for points that
+    have none."""
     placed = np.full((len(pins), NUM_KEYPOINTS, 2), np.nan)
     touching = np.full((len(touches), NUM_KEYPOINTS), np.nan)
     for rows, points in ((placed, pins), (touching, touches)):
@@ -91,27 +94,30 @@ def _yes(_: str, given: Any) -> bool:
 
 @array_dataclass
 class Correction:
-    """The artist's changes to one source frame."""
+    """The correction of one source frame: what the artist changed, and how the key looked when it was
+    made."""
 
     pins: Pins = value(_pins)
-    """Keypoints that were dragged, and where they belong"""
+    """The keypoints that the artist dragged, each with the pixels where it belongs"""
     rotation: np.ndarray = array(NUM_JOINTS, 3, finite="all", default=0.0)
-    """Axis-angle in radians per bone, in the bone's own posed axes"""
+    """(16, 3) radians: the axis-angle by which each bone is turned, in the bone's own axes after posing"""
     location: np.ndarray = array(3, finite="all", default=0.0)
-    """metres, added to the wrist bone's location"""
+    """(3,) metres, added to the wrist bone's location"""
     spread: float = value(_spread, default=0.0)
-    """frames over which it fades out, before and after"""
+    """frames, before and after its own, over which the correction fades out"""
     added_key: bool = value(_yes, default=False)
     """True if the frame had no key before, so that its key goes with the correction"""
     start_rotation: np.ndarray = array(NUM_JOINTS, 3, finite="all", default=0.0)
-    """What its neighbours' corrections did here when it was made: the part of `rotation` that pins
-    are not answerable for, and that stays when they change"""
+    """(16, 3) radians: the part of `rotation` that corrections of neighbouring frames made here before this
+    one. Pins are not answerable for it, and it stays when they change"""
     start_location: np.ndarray = array(3, finite="all", default=0.0)
-    """metres: the part of `location` that neighbours' corrections made, as in `start_rotation`"""
+    """(3,) metres: the part of `location` that corrections of neighbouring frames made here before this
+    one"""
     pose: np.ndarray = array(NUM_JOINTS, 4, finite="all", default=0.0)
-    """The key's rotations as (w, x, y, z) when it was made, to know the key again; zeros: unknown"""
+    """(16, 4) the key's rotations as (w, x, y, z) when the correction was made, by which the key is known
+    again; zeros where they are unknown"""
     place: np.ndarray = array(3, finite="all", default=0.0)
-    """metres: the key's location of the wrist when it was made; zeros: unknown"""
+    """(3,) metres: the key's location of the wrist when the correction was made; zeros where it is unknown"""
     keyed: bool = value(_yes, default=False)
     """True if the frame was keyed anew, so that without this correction the field is zero there"""
     posed: bool = value(_yes, default=False)
@@ -119,21 +125,22 @@ class Correction:
     begins: bool = value(_yes, default=False)
     """True if a pose begins here that the frames after it may go on with"""
     touches: Touches = value(_touches, default=())
-    """Keypoints that were made to touch"""
+    """The keypoints that were made to touch, each with the one that it touches"""
 
     @property
     def placed(self) -> int:
-        """How many points are held: pinned, or made to touch."""
+        """Number of the points that the artist holds: pinned, or made to touch."""
         return len(self.pins) + len(self.touches)
 
     @property
     def is_anchor(self) -> bool:
-        """True if it is no correction by the artist, and only ends those around it."""
+        """True if this is no correction by the artist, and only ends the corrections around it."""
         return self.keyed and not self.placed and not self.posed
 
     def is_in(self, pose: np.ndarray, place: np.ndarray) -> bool:
-        """True if the frame's key, (16, 4) and (3,), can still hold it: most of what it turned or moved is
-        where it was put. Else keys were moved in time, or another pose was keyed."""
+        """Tell whether the frame's key, rotations (16, 4) as (w, x, y, z) and the wrist's place (3,) in
+        metres, can still hold this correction: most of what it turned or moved is where it was put. Else keys
+        were moved in time, or another pose was keyed."""
         if not np.any(self.pose):
             return True
         turned = np.linalg.norm(self.rotation, axis=-1) > _MIN_CHANGE
@@ -145,7 +152,7 @@ class Correction:
 
     @property
     def changes(self) -> bool:
-        """True if it does anything to keys."""
+        """True if the correction turns a bone or moves the wrist, so that keys change."""
         return bool(np.any(self.rotation) or np.any(self.location))
 
     def __post_init__(self) -> None:
@@ -160,23 +167,24 @@ class Correction:
 
 @dataclass(frozen=True, eq=False)
 class CorrectionField:
-    """All corrections of a hand, by source frame."""
+    """All corrections of a hand by their source frames, and the field that they make over time."""
 
     corrections: Mapping[float, Correction] = field(default_factory=dict)
-    """Most are on whole frames; poses that were not dragged and anchors may lie between them"""
+    """The corrections by source frame. Most are on whole frames; poses that were not dragged, and anchors,
+    may lie between two frames"""
 
     @cached_property
     def frames(self) -> np.ndarray:
-        """(K,) corrected source frames and anchors, increasing."""
+        """(K,) the source frames of all corrections and anchors, increasing."""
         return np.array(sorted(self.corrections), dtype=np.float64)
 
     @property
     def corrected(self) -> list[float]:
-        """The source frames that the artist corrected, increasing."""
+        """The source frames that the artist corrected, increasing, without those of anchors."""
         return [g for g in sorted(self.corrections) if not self.corrections[g].is_anchor]
 
     def weights(self, frames: np.ndarray) -> np.ndarray:
-        """(N,) source frames, whole or not -> (N, K) weight of each correction there, 0..1."""
+        """Return the weights (N, K), 0..1, of the K corrections on the source frames (N,), whole or not."""
         frames = np.asarray(frames, dtype=np.float64)
         own = self.frames
         spread = np.array([self.corrections[g].spread for g in own.tolist()])
@@ -191,7 +199,8 @@ class CorrectionField:
         return fade(part)
 
     def at(self, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(N,) source frames -> rotations (N, 16, 3) in radians and wrist movements (N, 3) in metres."""
+        """Return the field on the source frames (N,): rotations (N, 16, 3) in radians, and movements of the
+        wrist (N, 3) in metres."""
         weights = self.weights(frames)
         chosen = [self.corrections[g] for g in self.frames.tolist()]
         rotation = np.array([c.rotation for c in chosen]).reshape(-1, NUM_JOINTS, 3)
@@ -199,27 +208,27 @@ class CorrectionField:
         return np.einsum("nk,kja->nja", weights, rotation), weights @ location
 
     def pins(self, frame: float) -> Pins:
-        """The pins of a source frame; none where it has no correction."""
+        """Return the pins of a source frame; none where it has no correction."""
         correction = self.corrections.get(kept_frame(frame))
         return correction.pins if correction is not None else {}
 
     def touching(self, frame: float) -> Touches:
-        """The touches of a source frame; none where it has no correction."""
+        """Return the touches of a source frame; none where it has no correction."""
         correction = self.corrections.get(kept_frame(frame))
         return correction.touches if correction is not None else {}
 
     def having(self, corrections: Mapping[float, Correction]) -> CorrectionField:
-        """A copy with these corrections of source frames added or replaced."""
+        """Return a copy in which these corrections, by their source frames, are added or replaced."""
         return CorrectionField({**self.corrections, **{kept_frame(g): c for g, c in corrections.items()}})
 
     def without(self, frames: Iterable[float]) -> CorrectionField:
-        """A copy without the corrections of these source frames."""
+        """Return a copy without the corrections of these source frames."""
         gone = {float(f) for f in frames}
         return CorrectionField({g: c for g, c in self.corrections.items() if g not in gone})
 
     def cleared(self, frames: Iterable[float]) -> CorrectionField:
-        """A copy with the corrections of these source frames taken back. Where a frame had been keyed anew,
-        an anchor stays as long as it ends another correction."""
+        """Return a copy with the corrections of these source frames taken back. Where a frame had been keyed
+        anew, an anchor stays as long as it ends another correction."""
         gone = {float(f) for f in frames}
         kept = {g: c for g, c in self.corrections.items() if g not in gone}
         kept |= {g: Correction({}, keyed=True) for g, c in self.corrections.items() if g in gone and c.keyed}
@@ -234,11 +243,11 @@ class CorrectionField:
         location: bool = True,
         keep_pins: bool = False,
     ) -> CorrectionField:
-        """A copy for source frames that get keys with poses of their own: the field is zero on them.
+        """Return a copy for source frames that get keys with poses of their own: the field is zero on them.
 
-        `whole` means everything from the first to the last of them, else corrections on other frames stay.
-        `joints` and `location` say what is keyed; of the others, corrections stay. `keep_pins` leaves the
-        frames' pins and touches, for poses that were fitted to them.
+        With `whole` everything from the first to the last of these frames counts as keyed, else corrections
+        on the frames between stay. `joints` and `location` say what is keyed; corrections of other joints
+        stay. `keep_pins` leaves the frames' pins and touches, for poses that were fitted to them.
         """
         own = np.array(sorted({kept_frame(f) for f in frames}), dtype=np.float64)
         if len(own) == 0:
@@ -273,11 +282,11 @@ class CorrectionField:
         return CorrectionField(new)._pruned()
 
     def _reach(self, frame: float) -> float:
-        """How many frames the corrections around reach beyond this one."""
+        """Return by how many frames the corrections around this source frame reach beyond it."""
         return max([0.0, *(c.spread - abs(g - frame) for g, c in self.corrections.items())])
 
     def _pruned(self) -> CorrectionField:
-        """Without the anchors that end nothing: no correction reaches them."""
+        """Return a copy without the anchors that end nothing, since no correction reaches them."""
         needed = set()
         for sign in (1.0, -1.0):
             reach = -np.inf
@@ -289,7 +298,7 @@ class CorrectionField:
         return CorrectionField({g: c for g, c in self.corrections.items() if g in needed})
 
     def to_json(self) -> str:
-        """JSON for the .blend; empty where there are no corrections."""
+        """Return the corrections as JSON text for the .blend file; empty where there are none."""
         if not self.corrections:
             return ""
         kept = {
@@ -303,7 +312,7 @@ class CorrectionField:
 
     @classmethod
     def from_json(cls, text: str) -> CorrectionField:
-        """Read `to_json`'s text. Raises TakeError for anything else, and for a newer format."""
+        """Read the text that `to_json` wrote. Raises TakeError for anything else, and for a newer format."""
         if not text:
             return cls()
         try:
@@ -322,9 +331,9 @@ class CorrectionField:
 
 
 def changed_segments(old: CorrectionField, new: CorrectionField) -> list[tuple[float, float]]:
-    """Disjoint segments of source frames (first, last) outside of which the two fields are equal.
+    """Return disjoint segments of source frames, as (first, last), outside of which the two fields are equal.
 
-    A correction that comes, goes or changes matters up to the nearest unchanged ones; these reach
+    A correction that comes, goes or changes matters up to the nearest unchanged corrections, which then reach
     further, or less far, towards it.
     """
     same = sorted(
@@ -354,7 +363,7 @@ def changed_segments(old: CorrectionField, new: CorrectionField) -> list[tuple[f
 
 
 def _equal(one: Correction, other: Correction) -> bool:
-    """True if both change keys alike; pins do not matter."""
+    """Tell whether two corrections change keys in one and the same way; pins do not matter."""
     return (
         one.spread == other.spread
         and np.array_equal(one.rotation, other.rotation)
@@ -363,7 +372,8 @@ def _equal(one: Correction, other: Correction) -> bool:
 
 
 def kept_frame(frame: Any) -> float:
-    """A source frame as corrections are kept under: whole, or between two frames to four digits."""
+    """Return a source frame as corrections are kept under it: a whole number, or a place between two frames
+    rounded to four digits."""
     place = round(float(frame), 4)
     if not np.isfinite(place):
         raise ValueError(f"a frame is a finite number; got {frame}")
@@ -375,20 +385,22 @@ def _correction(content: Mapping[str, Any]) -> Correction:
 
 
 def fade(part: np.ndarray) -> np.ndarray:
-    """Smoothstep from 1 at 0 to 0 at 1 and beyond."""
+    """Fall along a smoothstep from 1 at a `part` of 0 to 0 at 1 and beyond."""
     return 1.0 - smoothstep(part)
 
 
 def changed_quats(quats: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Keys (..., 4) as (w, x, y, z) under a field (..., 3) that goes from `old` to `new`, in radians.
+    """Return keys (..., 4) as quaternions (w, x, y, z) under a field (..., 3) that changes from `old` to
+    `new`, in radians.
 
-    Returns q exp(-old) exp(new), of the same length. Signs are kept as they come: the field changes
-    gradually from key to key, so neighbouring quaternions stay on the same side.
+    They are q exp(-old) exp(new), of the same length as before. Signs are kept as they come: the field
+    changes gradually from key to key, so neighbouring quaternions stay on the same side.
     """
     return quat_multiply(quat_multiply(quats, rotvec_to_quat(-old)), rotvec_to_quat(new))
 
 
 def correction_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """The turns (..., 3) in radians that lead from quaternions `before` (..., 4) to `after` (..., 4)."""
+    """Return the turns (..., 3), axis-angle in radians, that lead from quaternions `before` (..., 4) to
+    `after` (..., 4)."""
     before, after = (q / np.linalg.norm(q, axis=-1, keepdims=True) for q in (before, after))
     return quat_to_rotvec(quat_multiply(before * np.array([1.0, -1.0, -1.0, -1.0]), after))

@@ -1,4 +1,4 @@
-"""Poses of added hands, of which nothing was detected, from a few pins.
+"""Posing of added hands, of which nothing was detected, from a few pins.
 
 The pose that such a hand has is turned to 18 sides, each is laid over the pins, and from each the hand is
 fitted to the pins and to what hands usually do. The lowest cost decides, with a little more for showing the
@@ -26,8 +26,8 @@ from handfit_core.hand_model.chain import State
 
 
 def is_free(pins: np.ndarray) -> np.ndarray:
-    """(N, 21, 2) pins in pixels -> (N,) bool: true if they determine how a hand lies, whatever pose it
-    has."""
+    """Tell for each of N frames whether its pins (N, 21, 2), in pixels and NaN where there is none, determine
+    how a hand lies, whatever pose it has: (N,) bool."""
     palm = np.isfinite(pins[:, list(PALM_KEYPOINTS)]).all(axis=2)
     return np.asarray(palm.sum(axis=1) >= EDITS.min_palm_pins)
 
@@ -40,10 +40,10 @@ def pose_from_pins(
     locked: np.ndarray,
     max_iterations: int,
 ) -> State:
-    """One hand's pose (B = 1) from pins (21, 2) in pixels, NaN where there is none, and its present pose
-    `own`.
+    """Fit the pose of one hand (B = 1) to pins (21, 2) in pixels, NaN where there is none, from its present
+    pose `own`.
 
-    `locked`: (16,) bool, joints that stay as they are.
+    `locked`: (16,) bool, true for joints that stay as they are.
     """
     at = np.asarray(np.isfinite(pins).all(axis=1))
     start = _starts(fitter, intrinsics, pins, at, own)
@@ -85,8 +85,8 @@ def pose_from_pins(
 def _starts(
     fitter: FastFitter, intrinsics: Intrinsics, pins: np.ndarray, at: np.ndarray, own: State
 ) -> State:
-    """(18,) states: the hand `own` (1), turned to all sides, and each laid over its pins by a turn in the
-    picture, a place and a distance."""
+    """Return the 18 states that the search starts from: the one hand `own`, turned to all sides, and each
+    laid over its pins by a turn in the picture, a place and a distance."""
     points = fitter.chain.points(own)[0]
     along = points[9] - points[0]  # from the wrist to the middle finger's knuckle
     across = np.cross(points[0], along)
@@ -123,8 +123,8 @@ def _starts(
 def _with_neighbours_bends(
     fitter: FastFitter, found: np.ndarray, own: np.ndarray, at: np.ndarray, locked: np.ndarray
 ) -> np.ndarray:
-    """Angles (1, 5, 9) in which fingers without a pin beyond their knuckle have those of their `own` pose,
-    with long fingers bent as far from it as their neighbours with a pin make likely."""
+    """Return angles (1, 5, 9), in radians, in which fingers without a pin beyond their knuckle have those of
+    their `own` pose, with long fingers bent as far from it as their neighbours with a pin make likely."""
     known = np.asarray(at[1:].reshape(5, 4)[:, 1:].any(axis=1))
     left = np.asarray(~(known | locked[JOINTS_BY_FINGER].any(axis=1)))
     alike = EDITS.neighbour_bend_share ** np.abs(np.arange(5)[:, None] - np.arange(5))

@@ -32,7 +32,8 @@ from handfit_core.hand_model.motion import HandMotion
 
 
 def solve_grip(hand: RefineHand, prop: Prop, model: HandModel, should_stop: ShouldStop) -> HandMotion:
-    """All frames (T), each laid on the prop by itself; the wrist moves in all of them or in none."""
+    """Lay the hand on the prop in all T frames, each frame by itself; the wrist moves in all of them or in
+    none."""
     if len(prop.placed) != len(hand):
         raise OptionError(f"prop: placed has {len(prop.placed)} rows, expected {len(hand)}")
     posed, points = posed_in_front(hand, model)
@@ -64,7 +65,8 @@ def solve_grip(hand: RefineHand, prop: Prop, model: HandModel, should_stop: Shou
 
 
 def _wanted(fitter: FastFitter, grip: Grip, fingers: np.ndarray) -> tuple[Grip, np.ndarray]:
-    """The grip with what is drawn to the prop, and the joints (B, 16) bool that are fixed."""
+    """Return the grip with the pads that are to be drawn to the prop, and the joints (B, 16) bool that are to
+    stay fixed."""
     posed, points = fitter.chain.pose(grip.captured), grip.points
     gaps = grip.gaps(posed)[1]
     skin = SkinVertices(fitter.chain, np.flatnonzero(fitter.model.weights.argmax(axis=1) == 0))
@@ -88,7 +90,7 @@ def _wanted(fitter: FastFitter, grip: Grip, fingers: np.ndarray) -> tuple[Grip, 
 
 
 def _laid(fitter: FastFitter, intrinsics: Intrinsics, grip: Grip, joints: np.ndarray) -> State:
-    """B hands laid on the prop, but for the `joints` (B, 16) bool that are fixed."""
+    """Lay B hands on the prop, but for the `joints` (B, 16) bool that are fixed; returns their states."""
     own, fixed = grip.captured, fixed_at(joints, grip.captured)
     seen = pinning.landmarks_of_pose(fitter.chain.points(own), intrinsics)
     seen = replace(

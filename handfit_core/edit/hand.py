@@ -1,4 +1,4 @@
-"""A captured hand with the artist's corrections."""
+"""A captured hand with the artist's corrections, as re-fitting takes it, and the prop that it may hold."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from handfit_core.take import TAKE_LIMITS, HandTrack, Take
 
 
 def _camera(name: str, given: Any) -> Intrinsics:
-    """A camera, or the list of its four numbers."""
+    """Check a camera, which may come as the list of its four numbers."""
     if isinstance(given, Intrinsics):
         return given
     if not isinstance(given, list) or len(given) != 4:
@@ -35,27 +35,28 @@ def _model(name: str, given: Any) -> str:
 
 
 def _row(name: str, given: Any) -> int:
-    """A whole number, which JSON may have as 5.0."""
+    """Check a frame's row, a whole number, which JSON may have as 5.0."""
     row = number(name, given)
     return whole(name, int(row) if row.is_integer() else row)
 
 
 @array_dataclass
 class SecondSight:
-    """What a take's second camera saw of a hand around its T frames."""
+    """The detections of a hand by a take's second camera, around the T frames that are re-fitted."""
 
     intrinsics: Intrinsics = value(_camera)
     rotation: np.ndarray = array(3, 3, finite="all")
     translation: np.ndarray = array(3, finite="all")
-    """metres: x_2 = rotation x + translation"""
+    """(3,) metres: the translation from the first camera's frame to the second one's, x_2 = rotation x +
+    translation"""
     moments: np.ndarray = array("T", finite="all")
-    """seconds: when the hand's frames were taken"""
+    """(T,) seconds: when the hand's frames were taken"""
     times: np.ndarray = array("S", finite="all")
-    """seconds, increasing: when the detections were taken"""
+    """(S,) seconds, increasing: when the second camera's detections were made"""
     detections: Detections
-    """S of them, in order"""
+    """The S detections in the second view, in order of time"""
     fps: float = value(number, default=25.0, least=TAKE_LIMITS.min_fps, most=TAKE_LIMITS.max_fps)
-    """of that camera"""
+    """Frames per second of the second camera"""
 
     def __post_init__(self) -> None:
         check_arrays(self, OptionError, "second: ")
@@ -64,14 +65,14 @@ class SecondSight:
 
     @property
     def camera(self) -> PlacedCamera:
-        """The camera."""
+        """The second camera, with its lens and its place."""
         return PlacedCamera(self.intrinsics, self.rotation, self.translation)
 
 
 def second_sight(take: Take, hand: HandTrack, rows: np.ndarray) -> SecondSight | None:
-    """What the second view of a take saw of a hand around the frames `rows` (T,); None where there is one
-    view. Of a few frames it has some more at both ends, so that pixels between its
-    own frames are as in the whole take."""
+    """Collect the second camera's detections of a hand around the frames `rows` (T,) of a take; None where
+    the take has one view. A few more at both ends are taken along, so that pixels between the second view's
+    frames are as in the whole take."""
     if take.cameras is None:
         return None
     view, numbers = take.cameras.views[0], np.asarray(take.frame_numbers)
@@ -107,28 +108,30 @@ class RefineHand(HandMotion):
 
     intrinsics: Intrinsics = value(_camera)
     detections: Detections
-    """At most one in each of the T frames"""
+    """The hand's detections, at most one in each of the T frames, in their order"""
     pins: np.ndarray = array("T", NUM_KEYPOINTS, 2)
-    """pixels where the detector's keypoints truly are, as the artist says; NaN: not pinned"""
+    """(T, 21, 2) pixels where the detector's keypoints truly are, as the artist says; NaN where a point is
+    not pinned"""
     locked: np.ndarray = array(NUM_JOINTS, kind="b")
-    """In MANO's order of joints: those rotations stay as they are; with the wrist (0) its place
-    too. In frames without a pose nothing is locked"""
+    """(16,) bool in MANO's order of joints: true for joints whose rotations stay as they are; with the wrist
+    (0) its place stays, too. In frames without a pose nothing is locked"""
     model: str = value(_model, default=OPEN_HAND)
     """`open-hand`, or the path of the user's model file or folder"""
     fps: float = value(number, default=25.0, least=TAKE_LIMITS.min_fps, most=TAKE_LIMITS.max_fps)
-    """Frames per second"""
+    """Frames per second of the source"""
     smoothing: float = value(number, default=USUAL_SMOOTHING, least=0.0, most=MOST_SMOOTHING)
-    """For re-fitting a range"""
+    """Strength with which motion is smoothed when a range is re-fitted; 0: each frame by itself"""
     holes: tuple[int, ...] = value(partial(listed, kind=_row), default=())
-    """Rows after which the source lacks pictures: nothing is smoothed across"""
+    """Rows after which pictures of the source are missing, so that nothing is smoothed across"""
     added: bool = value(flag, default=False)
-    """True if a person laid it into the picture: its pose is a guess until pins say how it lies"""
+    """True if a person laid the hand into the picture, so that its pose is a guess until pins say how it
+    lies"""
     touches: np.ndarray | None = array("T", NUM_KEYPOINTS, most=np.inf, default=None)
-    """Which other keypoint each one touches, skin to skin, the larger naming the smaller; 0 stands
-    for the palm, wherever it is nearest. A negative one: the bones that end at both touch, wherever they are
-    nearest. NaN: none; None: none does"""
+    """(T, 21) which other keypoint each keypoint touches, skin to skin, the larger number naming the smaller
+    one; 0 stands for the palm, wherever it is nearest. A negative number: the bones that end at both
+    keypoints touch, wherever they are nearest. NaN: it touches none; None: no keypoint does"""
     second: SecondSight | None = None
-    """What a second camera saw, for re-fitting a range; None: there is none"""
+    """The hand's detections by a second camera, for re-fitting a range; None where there is no second view"""
 
     def __post_init__(self) -> None:
         check_arrays(self, OptionError)
@@ -157,17 +160,17 @@ class RefineHand(HandMotion):
 
     @property
     def detected(self) -> np.ndarray:
-        """(T,) bool."""
+        """(T,) bool: true in frames with a detection."""
         return scatter(np.ones(len(self.detections), dtype=bool), self.detections.frame, len(self), False)
 
     @property
     def pinned(self) -> np.ndarray:
-        """(T, 21) bool: points that are pinned."""
+        """(T, 21) bool: true for points that are pinned."""
         return np.asarray(np.isfinite(self.pins).all(axis=-1))
 
     @property
     def touching(self) -> np.ndarray:
-        """(T,) bool: frames in which points touch."""
+        """(T,) bool: true in frames in which points are to touch."""
         if self.touches is None:
             return np.zeros(len(self), dtype=bool)
         return np.asarray(np.isfinite(self.touches).any(axis=1))
@@ -181,12 +184,13 @@ class Prop:
     """
 
     vertices: np.ndarray = array("V", 3, finite="all", sent=np.float32)
-    """metres, in the prop's own frame"""
+    """(V, 3) metres: the triangles' vertices in the prop's own frame"""
     triangles: np.ndarray = array("F", 3, kind="i")
     placed: np.ndarray = array("T", 3, 4, finite="all")
-    """[turn | place] of each frame, in metres: x = turn p + place takes the prop into the camera frame"""
+    """(T, 3, 4) in metres, [turn | place] of each frame: x = turn p + place takes the prop into the camera
+    frame"""
     fingers: np.ndarray = array(5, kind="b", default=True)
-    """Which fingers may be laid on it, the thumb first"""
+    """(5,) bool: true for fingers that may be laid on the prop, thumb first"""
 
     def __post_init__(self) -> None:
         check_arrays(self, OptionError, "prop: ")

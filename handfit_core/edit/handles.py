@@ -1,4 +1,5 @@
-"""The points that an artist drags, a model's 21 landmarks, and those that touch; for Blender too."""
+"""The points that an artist drags, which are a model's 21 landmarks, and which of them touch. Blender uses
+this module, too."""
 
 from __future__ import annotations
 
@@ -24,17 +25,19 @@ POINT_NAMES: Final = (
         for name in ("Knuckle", "Middle Joint", "Last Joint", "Tip")
     ),
 )
-"""The 21 keypoints as artists read them, where they touch: the wrist's stands for the whole palm"""
+"""Names of the 21 keypoints as artists read them in touches, where the wrist's stands for the whole palm"""
 
 _MAX_FIRST_GAP: Final = 0.03
-"""metres between the skins of the thumb and the finger next to it that are pressed together"""
+"""metres between the skins of the thumb and the finger next to it up to which they count as pressed
+together"""
 _MAX_GAP: Final = 0.008
-"""metres; of other parts, which may well pass the same line of sight apart"""
+"""metres between the skins of other parts up to which they count as touching: they may well pass the same
+line of sight apart"""
 
 
 def touching_pair(one: int, other: int) -> tuple[int, int]:
-    """Which keypoint touches which, as `RefineHand.touches` has it. Raises OptionError for points that cannot
-    be brought together."""
+    """Return which keypoint touches which, as (larger, smaller) in the way of `RefineHand.touches`. Raises
+    OptionError for points that cannot be brought together."""
     if not all(0 <= point < NUM_KEYPOINTS for point in (one, other)):
         raise OptionError(f"points that touch are 0 to {NUM_KEYPOINTS - 1}, not {one} and {other}")
     first, second = max(one, other), min(one, other)
@@ -52,8 +55,8 @@ def gaps_between(
     hand_pose: np.ndarray,
     points: tuple[int, int] | np.ndarray,
 ) -> np.ndarray:
-    """(T,) metres between the skins at two points, a pair or (T, 2) as in `RefineHand.touches`, of hands with
-    betas (10,) and hand_pose (T, 45); negative where they stand in each other."""
+    """Return the metres (T,) between the skins at two points, a pair or (T, 2) as in `RefineHand.touches`, of
+    hands with betas (10,) and hand_pose (T, 45) in radians; negative where the skins overlap."""
     surface, count = surface_of(model), len(hand_pose)
     capsules = surface.of(
         np.broadcast_to(np.asarray(betas, dtype=np.float64), (count, len(betas))), hand_pose
@@ -90,7 +93,7 @@ def lying_over(
 
 
 def _inside(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """(T, P) bool: which points (T, P, 2) lie in the polygons with these corners (T, C, 2)."""
+    """Tell which points (T, P, 2) lie in the polygons with these corners (T, C, 2): (T, P) bool."""
     x, y = points[:, :, None, 0], points[:, :, None, 1]
     start, end = corners[:, None], np.roll(corners, -1, axis=1)[:, None]
     across = (start[..., 1] > y) != (end[..., 1] > y)
@@ -103,11 +106,11 @@ def _inside(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 def landmark_points(
     model: HandModel, betas: np.ndarray, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray
 ) -> np.ndarray:
-    """(T, 21, 3) where the detector sees its points on a posed hand, metres, camera frame.
+    """Return where the detector sees its points on posed hands: (T, 21, 3) metres in the camera frame.
 
-    betas (10,), global_orient (T, 3), hand_pose (T, 45), transl (T, 3). These are the points that the solver
-    fits, each fixed to one bone. They are not `model.keypoints`: the detector's fingertips lie 2 to 9 mm
-    short of the mesh's.
+    betas (10,); global_orient (T, 3) and hand_pose (T, 45) in radians; transl (T, 3) in metres. These are the
+    points that the solver fits, each fixed to one bone. They are not `model.keypoints`: the detector's
+    fingertips lie 2 to 9 mm short of the mesh's.
     """
     chain, count = _chain(model), len(global_orient)
     shape = np.broadcast_to(np.asarray(betas, dtype=np.float64), (count, len(betas)))

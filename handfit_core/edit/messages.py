@@ -1,4 +1,4 @@
-"""Re-fitting as the worker's messages: docs/worker-protocol.md."""
+"""Requests for re-fitting, and their answers, as messages of the worker (docs/worker-protocol.md)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ where the drag began"""
 
 
 def to_message(hand: RefineHand) -> dict[str, Any]:
-    """A hand as JSON's types: the `hand` of a `refit` request, its arrays and its detections' packed."""
+    """Return a hand as JSON's types: the `hand` of a `refit` request, with its arrays and its detections
+    packed."""
     message = packed(hand) | _packed(hand.detections, hand.side, len(hand))
     second = hand.second
     if second is not None:
@@ -40,11 +41,11 @@ def _packed(hands: Detections, side: Side, count: int) -> dict[str, Any]:
 
 
 def from_message(message: Mapping[str, Any]) -> RefineHand:
-    """The inverse of `to_message`. `model`, `fps`, `smoothing`, `holes`, `added`, `other_side`,
+    """Read the hand that `to_message` made. `model`, `fps`, `smoothing`, `holes`, `added`, `other_side`,
     `keypoints_2020`, `overlapped`, `touches` and `second` may be missing.
 
-    Raises ProtocolError for a field that is missing or not of its kind, OptionError for one of a wrong
-    shape or range; both name it.
+    Raises ProtocolError for a field that is missing or not of its kind, OptionError for one of a wrong shape
+    or range; both name it.
     """
     if not isinstance(message, Mapping):
         raise ProtocolError("refit: hand must be an object")
@@ -102,14 +103,15 @@ def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any
 
 
 def _drag(hand: RefineHand) -> tuple[object, ...]:
-    """The part of a hand that a drag does not change: frame, first pose, shape and locks."""
+    """Return the part of a hand that a drag does not change: frame, first pose, shape and locks."""
     arrays = [hand.betas, *hand.pose, hand.locked, hand.detections.keypoints]
     numbers = (np.asarray(a, dtype=np.float64).tobytes() for a in arrays)
     return (hand.side, hand.model, hand.intrinsics, len(hand), *numbers)
 
 
 def result_from_message(done: Mapping[str, Any], count: int = 1) -> HandMotion:
-    """The result in the `done` event of a `refit` request for `count` frames. Raises ProtocolError."""
+    """Read the result in the `done` event of a `refit` request for `count` frames. Raises ProtocolError for
+    anything else."""
     result = done.get("result")
     if not isinstance(result, Mapping):
         raise ProtocolError("refit: the answer has no result")

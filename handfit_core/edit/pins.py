@@ -36,7 +36,8 @@ _PALM: Final = [0, *_FINGERS[:, 0]]
 
 
 def landmarks_of_pose(points: np.ndarray, intrinsics: Intrinsics) -> Landmarked:
-    """A pose's landmarks (N, 21, 3), metres, camera frame, as if a detector had seen them."""
+    """Return the landmarks of poses as if a detector had seen them, from `points` (N, 21, 3) in metres,
+    camera frame."""
     pixels = intrinsics.project(points)
     size = hand_sizes(pixels)[:, None]
     ray = points.mean(axis=1)
@@ -53,12 +54,14 @@ def landmarks_of_pose(points: np.ndarray, intrinsics: Intrinsics) -> Landmarked:
 
 
 def displacement(pins: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """(N, 21) pixels from where points are (N, 21, 2) to their pins (N, 21, 2); 0 where there is none."""
+    """Return how many pixels (N, 21) each point, at (N, 21, 2), lies from its pin, at (N, 21, 2); 0 where
+    there is no pin."""
     return np.nan_to_num(np.linalg.norm(pins - pixels, axis=-1), nan=0.0)
 
 
 def propagate(displaced: np.ndarray) -> np.ndarray:
-    """(N, 21) pixels of displacement of pinned points -> (N, 21) pixels of uncertainty of all points."""
+    """Return how many pixels (N, 21) all points become uncertain when pinned points are displaced by (N, 21)
+    pixels."""
     uncertainty = displaced.copy()
     uncertainty[:, _FINGERS] = displaced[:, _FINGERS].max(axis=2, keepdims=True)
     # The palm turns about the wrist, and all fingers ride on it.
@@ -68,50 +71,52 @@ def propagate(displaced: np.ndarray) -> np.ndarray:
 
 
 def finger_pins(pins: np.ndarray) -> np.ndarray:
-    """(N, 21, 2) pins, without those of the palm: a finger reaches by itself only those beyond its
-    knuckle."""
+    """Return the pins (N, 21, 2) in pixels without those of the palm, as a finger reaches by itself only
+    those beyond its knuckle."""
     own = pins.copy()
     own[:, _PALM] = np.nan
     return own
 
 
 def palm_displacement(displaced: np.ndarray) -> np.ndarray:
-    """(N, 21) displacements of wrist and knuckles, and 0 for the other points."""
+    """Return the displacements (N, 21), in pixels, of wrist and knuckles, and 0 for the other points."""
     return np.where(np.isin(np.arange(NUM_KEYPOINTS), _PALM), displaced, 0.0)
 
 
 def unpinned_fingers(pins: np.ndarray) -> np.ndarray:
-    """(N, 21, 2) -> (N, 5) bool: fingers without a pin beyond their knuckle."""
+    """Tell which fingers have no pin beyond their knuckle: (N, 5) bool, from pins (N, 21, 2) in pixels."""
     return np.asarray(np.isnan(finger_pins(pins)[:, _FINGERS, 0]).all(axis=2))
 
 
 def hand_sizes(pixels: np.ndarray) -> np.ndarray:
-    """(N, 21, 2) -> (N,) a hand's size in the picture, pixels."""
+    """Return the sizes (N,), in pixels, of hands in the picture whose points are at `pixels` (N, 21, 2)."""
     return np.maximum(np.ptp(pixels, axis=1).max(axis=1), 1.0)
 
 
 def distance_sigma(displaced: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """(N,) sigmas of the wrist's distance, relative to it, from (N, 21) displacements of pinned points and
-    (N,) sizes of hands in pixels."""
+    """Return how far the wrist's distance may deviate, (N,) sigmas relative to it, when pinned points of
+    hands of `size` (N,) pixels are displaced by (N, 21) pixels."""
     most = displaced[:, _PALM].max(axis=1)
     return np.hypot(PINS.distance_sigma, PINS.palm_distance_sigma * most / size)
 
 
 def angle_sigma(uncertainty: np.ndarray, size: np.ndarray, idle: np.ndarray) -> np.ndarray:
-    """(N, 5) radians, sigmas of the fingers' angles, from (N, 21) pixels of uncertainty and (N,) sizes of
-    hands in pixels. `idle`: (N, 5) bool, fingers that neither pins nor touches move by themselves."""
+    """Return how far the fingers' angles may deviate, (N, 5) sigmas in radians, from pixels of uncertainty
+    (N, 21) of hands of `size` (N,) pixels. `idle`: (N, 5) bool, true for fingers that neither pins nor
+    touches move by themselves."""
     of_finger = uncertainty[:, _FINGERS].max(axis=2) * np.where(idle, PINS.idle_share, 1.0)
     return np.maximum(PINS.angle_sigma * of_finger / size[:, None], PINS.min_angle_sigma)
 
 
 def unmoved_fingers(uncertainty: np.ndarray) -> np.ndarray:
-    """(N, 21) pixels of uncertainty -> (N, 5) bool: fingers without any."""
+    """Tell which fingers have no uncertain point: (N, 5) bool, from pixels of uncertainty (N, 21)."""
     return np.asarray(uncertainty[:, _FINGERS].max(axis=2) == 0.0)
 
 
 def propagate_in_time(displaced: np.ndarray, frames: np.ndarray, fps: float) -> np.ndarray:
-    """(N, 21) displacements of pinned points, or a share of those in neighbouring frames where that is
-    larger: where the detector errs in one frame it errs in the next. `frames`: (N,) rising."""
+    """Return the displacements (N, 21), in pixels, of pinned points, or a share of those in neighbouring
+    frames where that is larger: where the detector errs in one frame it errs in the next. `frames`: (N,)
+    frame numbers, rising; `fps`: frames per second."""
     spread = displaced.copy()
     reach = PINS.neighbour_seconds * fps
     for row in np.flatnonzero(displaced.any(axis=1)):
@@ -121,8 +126,8 @@ def propagate_in_time(displaced: np.ndarray, frames: np.ndarray, fps: float) -> 
 
 
 def apply_pins(seen: Landmarked, pins: np.ndarray, uncertainty: np.ndarray) -> Landmarked:
-    """`seen` with pins (N, 21, 2) in their place, and with `uncertainty` (N, 21) in pixels added to the
-    expected errors."""
+    """Return the landmarks `seen` with pins (N, 21, 2), in pixels, in their place, and with `uncertainty`
+    (N, 21) in pixels added to the expected errors."""
     at = np.asarray(np.isfinite(pins).all(axis=-1))
     sigma = np.hypot(seen.pixel_sigma, PINS.sigma_per_pixel * uncertainty[..., None])
     return replace(
@@ -135,7 +140,7 @@ def apply_pins(seen: Landmarked, pins: np.ndarray, uncertainty: np.ndarray) -> L
 
 
 def blend_to_detection(seen: Landmarked, detected: Landmarked, uncertainty: np.ndarray) -> Landmarked:
-    """The landmarks `seen` of a pose, moved towards the `detected` ones the more, the larger their
+    """Return the landmarks `seen` of a pose, moved towards the `detected` ones the more, the larger their
     `uncertainty` (N, 21) in pixels. Where nothing is detected (NaN) they stay."""
     size = hand_sizes(seen.pixels)[:, None]
     share = np.square(uncertainty) / (np.square(uncertainty) + np.square(PINS.half_blend * size))

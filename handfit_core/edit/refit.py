@@ -1,4 +1,5 @@
-"""Re-fitting: frame by frame while the artist drags, or a range over time."""
+"""Re-fitting of a corrected hand: frame by frame while the artist drags, a range over time, or a grip on a
+prop."""
 
 from __future__ import annotations
 
@@ -17,19 +18,19 @@ from handfit_core.hand_model.motion import HandMotion
 
 
 def _solving():
-    """The module that solves, which is slow to load: Blender does not need it to start."""
+    """Import and return the module that solves, which is slow to load: Blender does not need it to start."""
     from handfit_core.edit import solving
 
     return solving
 
 
 def refit_each(hand: RefineHand, guess: HandMotion | None = None, *, draft: bool = False) -> HandMotion:
-    """Every frame by itself, with the shape as it is.
+    """Fit every frame by itself, with the shape as it is.
 
-    A frame with a pose is held to that pose, except for what its pins move: without pins it stays exactly
-    as it is, and with pins the joints of fingers that none of them moves do. Where the pinned fingers reach
-    their pins by themselves, the palm stays too, and only what they fall short of moves it (see `pins`).
-    A frame without a pose is fitted to its detection and pins; without a detection too it stays empty. A hand
+    A frame with a pose is held to that pose, except for what its pins move: without pins it stays exactly as
+    it is, and with pins the joints of fingers that none of them moves do. Where the pinned fingers reach
+    their pins by themselves, the palm stays too, and only what they fall short of moves it (see `pins`). A
+    frame without a pose is fitted to its detection and pins; without a detection too it stays empty. A hand
     that a person has added is posed anew by its pins, where these tell how it lies (see `free`).
 
     `draft`: a few steps from `guess`, an earlier result for the same hand, for the time until a mouse button
@@ -41,12 +42,12 @@ def refit_each(hand: RefineHand, guess: HandMotion | None = None, *, draft: bool
 
 
 def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> HandMotion:
-    """All frames anew from their detections and pins, over time, with the shape as it is.
+    """Fit all frames anew from their detections and pins, over time, with the shape as it is.
 
-    As a capture does it: smooth as `hand.smoothing` says, short gaps filled from both sides. Pinned
-    frames without a detection are held loosely to their pose. The pose is otherwise no more than a start for
-    the solver, but for locked joints. Frames that are neither detected nor pinned nor in a short gap come
-    back empty.
+    Motion is as smooth as `hand.smoothing` says, and short gaps are filled from both sides, as in a capture.
+    Pinned frames without a detection are held loosely to their pose. The pose is otherwise no more than a
+    start for the solver, but for locked joints. Frames that are neither detected nor pinned nor in a short
+    gap come back empty.
 
     Raises HandModelError; Cancelled when `should_stop` said so.
     """
@@ -54,12 +55,13 @@ def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> HandMotion
 
 
 def refit_grip(hand: RefineHand, prop: Prop, should_stop: ShouldStop = never) -> HandMotion:
-    """All frames, with the fingers that are near a prop laid on its surface.
+    """Fit all frames with the fingers that are near a prop laid on its surface.
 
     Each frame stays near its pose. Fingers out of reach stay exactly as they are, and so does the wrist,
     unless the palm has to leave the prop. Frames without a pose stay empty.
 
-    Raises HandModelError; OptionError, in an artist's words, where the prop cannot be held; Cancelled.
+    Raises HandModelError; OptionError, in an artist's words, where the prop cannot be held; Cancelled when
+    `should_stop` said so.
     """
     from handfit_core.edit.gripping import solve_grip
 
@@ -87,7 +89,7 @@ def warm_up(model: str = OPEN_HAND) -> None:
 
 
 def _seen_hand(loaded: HandModel, model: str, side: Side) -> RefineHand:
-    """A relaxed hand before a camera, as a detector sees it."""
+    """Return a relaxed hand before a camera, as a detector sees it, to be used once in `warm_up`."""
     camera = Intrinsics(600.0, 600.0, 320.0, 240.0)
     pose = np.array([[-np.pi / 2, 0.0, 0.0]]), loaded.hands_mean[None], np.array([[0.0, 0.0, 0.5]])
     points = landmark_points(loaded, np.zeros(NUM_BETAS), *pose)

@@ -26,31 +26,33 @@ from handfit_core.hand_model.axes import WORLD_FROM_CAMERA, RestPose
 from handfit_core.retarget.transfer import SourceHand
 
 LOCATION: Final = NUM_JOINTS
-"""`Channels.joint` of the wrist's location"""
+"""`Channels.joint` of the channels that hold the wrist's location"""
 _BOUND_SHARE = 0.999
-"""Share of a bound that is used, since Blender rounds keys to 32 bits"""
+"""Share of a bound that is used up, since Blender rounds keys to 32 bits"""
 _NEAREST = 1e-3
-"""metres in front of the camera. What lies nearer is not judged in pixels"""
+"""metres in front of the camera, nearer than which points are not judged in pixels"""
 _SEGMENT_FRAMES = 20
-"""Dense frames of which the keys are kept as they were before a thinning, if that left no fewer"""
+"""Length, in dense frames, of the segments into which a clip is split when, for each of them, the fewer keys
+of two choices are taken"""
 
 
 @dataclass(frozen=True, eq=False)
 class Channels:
-    """The channels that one thing moves by, on N dense frames."""
+    """The channels that one bone or control moves by, with their values on N dense frames."""
 
     values: np.ndarray
-    """(N, C): quaternions (w, x, y, z) of length 1 and steady sign, (angle, x, y, z), Euler angles, or a
-    location; radians, and the armature's units"""
+    """(N, C) values on the dense frames: quaternions (w, x, y, z) of length 1 and steady sign,
+    (angle, x, y, z), Euler angles, or a location; radians, and the armature's units"""
     mode: str
-    """QUATERNION, AXIS_ANGLE, an order such as XYZ, or LOCATION"""
+    """The kind of these values: QUATERNION, AXIS_ANGLE, an order of Euler angles such as XYZ, or LOCATION"""
     group: int = 0
-    """Channels of one group have their keys on common frames; groups count from 0"""
+    """Number, from 0, of the group of channels that have their keys on common frames"""
     arm: float = 1.0
-    """For a location: the length of the lever whose end, turned by the bound in degrees, moves as far as it
-    may"""
+    """For a location the length of the lever, in the armature's units, whose end, turned by the bound in
+    degrees, moves as far as the location may be off"""
     joint: int = -1
-    """Which joint of a hand that is seen it turns, in MANO's order, or `LOCATION`"""
+    """Number of the joint of a captured hand that these channels turn, in MANO's order, or `LOCATION`; -1 for
+    none"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,13 +63,13 @@ class Sight:
     source: SourceHand
     intrinsics: Intrinsics
     quats: np.ndarray
-    """(N, 16, 4) as `RestPose` has them"""
+    """(N, 16, 4) the bones' rotations on the dense frames as quaternions (w, x, y, z), see `RestPose`"""
     locations: np.ndarray
-    """(N, 3) metres"""
+    """(N, 3) metres: the wrist bone's locations on the dense frames"""
 
     def points(self, quats: np.ndarray, locations: np.ndarray) -> np.ndarray:
-        """(N, 21, 3) keypoints in the camera frame, metres, of such poses. Pose blend shapes of fingertips
-        are left out."""
+        """Return the keypoints (N, 21, 3), in metres in the camera frame, of hands whose bones have these
+        quaternions (N, 16, 4) and locations (N, 3). Pose blend shapes of fingertips are left out."""
         frames = self.rest.frames
         vector = np.einsum("jab,njb->nja", frames, quats[..., 1:])
         turns = quat_to_rotmat(np.concatenate([quats[..., :1], vector], axis=-1))
@@ -78,18 +80,19 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class Spline:
-    """The keys that are left of some channels: K of N frames."""
+    """The K keys that are left of some channels on N dense frames, and the curves' slopes at them."""
 
     rows: np.ndarray
-    """(K,) which of the dense frames, increasing"""
+    """(K,) the indices of the dense frames that have keys, increasing"""
     values: np.ndarray
-    """(K, C) as they were there"""
+    """(K, C) the channels' values on these frames"""
     slopes: np.ndarray
-    """(K, C) per frame, the same before and behind a key"""
+    """(K, C) slopes of the curves at the keys, in values per frame, equal before and behind a key"""
 
     def handles(self, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where the Bezier handles before and behind each key lie: (K, C, 2) frame and value each, for dense
-        `frames` (N,). At the ends they are as long as on the other side."""
+        """Return where the Bezier handles before and behind each key lie, (K, C, 2) frame and value each,
+        when the dense frames have the numbers `frames` (N,). At the ends they are as long as on the other
+        side."""
         places = np.asarray(frames, dtype=np.float64)[self.rows]
         gaps = np.diff(places) / 3.0 if len(places) > 1 else np.full(1, 1.0 / 3.0)
         before, behind = np.concatenate([gaps[:1], gaps]), np.concatenate([gaps, gaps[-1:]])
@@ -105,11 +108,12 @@ class Simplified:
     """A motion with fewer keys."""
 
     splines: tuple[Spline, ...]
-    """One for each of the given `Channels`"""
+    """One spline for each of the given `Channels`, in their order"""
     degrees: float
-    """The largest rotation between a bone and its dense one, relative to its parent"""
+    """degrees: the largest rotation between a bone and its dense one, relative to its parent"""
     pixels: float | None
-    """The largest distance of a keypoint from where it was in the picture; None where nobody sees it"""
+    """pixels: the largest distance of a keypoint from where it was in the picture; None where no camera sees
+    the hand"""
 
 
 def simplifying(
@@ -151,22 +155,24 @@ def simplifying(
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Keys (G, N) bool that keep to the bounds, and the splines through them."""
+    """One choice of keys, (G, N) bool for G groups on N frames, with the splines through them and how far
+    these are off."""
 
     fit: _Fit
     keys: np.ndarray
     values: np.ndarray
-    """(T, N, 4) what the splines say on the dense frames"""
+    """(T, N, 4) the values of the T tracks' splines on the dense frames"""
     slopes: np.ndarray
-    """(K, 4) of all tracks' keys, one after the other"""
+    """(K, 4) the slopes at the keys of all tracks, one track after the other"""
     turned: np.ndarray
-    """(T, N) radians: by how much rotations are off, and locations by their arms"""
+    """(T, N) radians by which the splines' rotations are off; for locations the angle at the end of their
+    arms"""
     missed: np.ndarray
-    """(N, 21) pixels; zeros where no bound asks for them"""
+    """(N, 21) pixels by which keypoints are off in the picture; zeros where no bound asks for them"""
 
     @property
     def cost(self) -> int:
-        """How many keys there are, each counted once per channel."""
+        """Number of the keys, each counted once per channel."""
         return int(self.keys.sum(axis=1) @ self.fit.widths)
 
     def simplified(self) -> Simplified:
@@ -185,8 +191,8 @@ class _State:
 
 
 class _Fit:
-    """The channels and their bounds. They are T tracks of 4 numbers, padded with zeros, all fitted at
-    once."""
+    """The fit of splines to the channels within their bounds: T tracks of 4 numbers, padded with zeros, all
+    fitted at once."""
 
     def __init__(
         self,
@@ -216,7 +222,8 @@ class _Fit:
             self._levers = _levers(points, sight.intrinsics)[[track.joint for track in channels]]
 
     def refined(self, keys: np.ndarray) -> Generator[int, None, _State]:
-        """Add keys to (G, N) bool until the splines keep to the bounds; yields the cost after each round."""
+        """Add keys to those of `keys` (G, N) bool until the splines keep to the bounds; yields the cost after
+        each round, and returns the state reached."""
         keys = keys.copy()
         while True:
             state = self._fitted(keys)
@@ -242,7 +249,8 @@ class _Fit:
         return _State(self, keys.copy(), values, slopes, turned, missed)
 
     def missed(self, values: np.ndarray) -> np.ndarray:
-        """(N, 21) pixels by which a captured hand with these values is seen at the wrong place."""
+        """Return the pixels (N, 21) by which keypoints of a captured hand with these values are seen at the
+        wrong place."""
         assert self.sight is not None
         quats, locations = self.sight.quats.copy(), self.sight.locations
         for own, track in zip(values, self.channels, strict=True):
@@ -255,8 +263,9 @@ class _Fit:
         return np.where(self._seen[:, None], np.nan_to_num(off, nan=np.inf), 0.0)
 
     def _excess(self, state: _State) -> np.ndarray:
-        """(G, N) how many times the bound it is off where it is farther off than that; else zero. What is
-        seen at the wrong place is put to the group that turns or moves it farthest there."""
+        """Return how many times its bound each group is off on each frame, (G, N), where that is more than
+        once; else zero. Keypoints seen at the wrong place are put to the group that turns or moves them
+        farthest there."""
         excess = np.zeros((self.groups, len(self.frames)))
         off = state.turned / self.radians
         np.maximum.at(excess, self.of_group, np.where(off > 1.0, off, 0.0))
@@ -271,8 +280,8 @@ class _Fit:
 
 
 def _levers(points: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
-    """(17, N, 21) pixels by which keypoints (N, 21, 3) move at most per radian of each of the 16 joints, and
-    per metre of the location."""
+    """Return the pixels (17, N, 21) by which keypoints (N, 21, 3) in metres move at most per radian of each
+    of the 16 joints, and per metre of the location."""
     per_metre = max(intrinsics.fx, intrinsics.fy) / np.maximum(points[..., 2], _NEAREST)
     levers = np.zeros((NUM_JOINTS + 1, *points.shape[:2]))
     levers[0] = np.linalg.norm(points - points[:, :1], axis=-1) * per_metre
@@ -286,14 +295,15 @@ def _levers(points: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
 
 
 def _between(quats: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """(N,) radians between unit quaternions (N, 4); exact for small ones."""
+    """Return the angles (N,), in radians, between unit quaternions (N, 4) and others (N, 4); exact for small
+    ones."""
     chord = np.minimum(np.linalg.norm(quats - other, axis=-1), np.linalg.norm(quats + other, axis=-1))
     return 4.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))
 
 
 def _worst(keys: np.ndarray, excess: np.ndarray) -> np.ndarray:
-    """The frames, as indices into the raveled (G, N), at which each segment between keys exceeds most; none
-    of a segment that does not."""
+    """Find in each segment between keys the frame at which the bounds are exceeded most, as indices into the
+    raveled (G, N); none for a segment that exceeds no bound."""
     excess = np.where(keys, 0.0, excess).ravel()
     starts = np.flatnonzero(keys)
     segments = np.cumsum(keys.ravel()) - 1
@@ -303,8 +313,8 @@ def _worst(keys: np.ndarray, excess: np.ndarray) -> np.ndarray:
 
 
 def _fewer(keys: np.ndarray, others: np.ndarray, first: int) -> np.ndarray:
-    """(G, N) bool: segment by segment those of two choices of keys that are fewer; `first`: which frame of a
-    segment the clip begins with."""
+    """Take, segment by segment, the fewer keys of two choices (G, N) bool. `first`: at which frame of a
+    segment the clip begins."""
     segment = (np.arange(keys.shape[1]) + first) // _SEGMENT_FRAMES
     starts = np.flatnonzero(np.diff(segment, prepend=-1))
     counts = [np.add.reduceat(choice, starts, axis=1, dtype=int) for choice in (keys, others)]
@@ -312,8 +322,8 @@ def _fewer(keys: np.ndarray, others: np.ndarray, first: int) -> np.ndarray:
 
 
 def _splines(frames: np.ndarray, dense: np.ndarray, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Values (T, N, 4) and the keys' slopes (K, 4) of the splines through dense values (T, N, 4) at keys
-    (T, N) bool, among them each track's first and last frame."""
+    """Return the values (T, N, 4) and the keys' slopes (K, 4) of the splines through dense values (T, N, 4)
+    at keys (T, N) bool, among which are each track's first and last frame."""
     tracks, count = keys.shape
     at = np.flatnonzero(keys)
     if count == 1:
@@ -351,8 +361,8 @@ def _splines(frames: np.ndarray, dense: np.ndarray, keys: np.ndarray) -> tuple[n
 
 
 def _solved(diagonal: np.ndarray, beside: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """(K, 4) the solution of a symmetric tridiagonal system: its diagonal (K, 1), what stands beside it
-    (K - 1, 1), and the right side (K, 4).
+    """Solve a symmetric tridiagonal system for (K, 4) unknowns: `diagonal` (K, 1), what stands `beside` it (K
+    - 1, 1), and the right side `wanted` (K, 4).
 
     By cyclic reduction, all rows at once: each row is eliminated from those 1, 2, 4, ... rows away, until
     none is coupled.

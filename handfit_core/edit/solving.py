@@ -1,4 +1,4 @@
-"""The half of re-fitting that needs the solver: observations from pins and touches, and their fits."""
+"""The part of re-fitting that needs the solver: observations made from pins and touches, and their fits."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def load() -> None:
 def solve_each(
     hand: RefineHand, model: HandModel, guess: HandMotion | None, *, draft: bool = False
 ) -> HandMotion:
-    """All frames (T), each fitted by itself.
+    """Fit all T frames, each by itself.
 
     `draft`: a few steps from `guess`, or from the frame's own pose where there is none.
     """
@@ -89,29 +89,30 @@ def solve_each(
 
 @dataclass(frozen=True, eq=False)
 class _Frames(Batch):
-    """B frames that are corrected, each by itself."""
+    """B frames that are corrected, each by itself, with all that their fits need."""
 
     fitter: FastFitter
     intrinsics: Intrinsics
     pins: np.ndarray
-    """(B, 21, 2) pixels"""
+    """(B, 21, 2) pixels of the pins; NaN where a point is not pinned"""
     posed: np.ndarray
-    """(B,) bool: frames that have a pose, which is corrected"""
+    """(B,) bool: true for frames that have a pose, which is then corrected"""
     locked: np.ndarray
     """(B, 16) bool: joints that stay as they are, in frames that have a pose"""
     seen: Landmarked
-    """The landmarks of the frame's pose, or the detected ones where there is no pose"""
+    """The landmarks of each frame's pose, or the detected ones where there is no pose"""
     detected: Landmarked
     """The detected landmarks; NaN where nothing is detected"""
     own: State
-    """The frame's pose, or a relaxed hand where there is none"""
+    """The pose of each frame, or a relaxed hand where there is none"""
     near: State | None
-    """The start of a draft; None: this is no draft"""
+    """The states that a draft starts from; None where this is no draft"""
     touches: np.ndarray | None
-    """(B, 21) as in `RefineHand`"""
+    """(B, 21) the keypoint that each keypoint touches, as in `RefineHand.touches`; None where nothing
+    touches"""
 
     def corrected(self) -> tuple[State, np.ndarray]:
-        """Their poses, and which joints (B, 16) bool have not moved."""
+        """Fit the frames; return their poses, and the joints (B, 16) bool that have not moved."""
         state, fixed = self.own, self.locked | self.posed[:, None]
         alone = np.flatnonzero(self.posed & ~self._idle.all(axis=1))
         if len(alone):
@@ -131,7 +132,7 @@ class _Frames(Batch):
 
     @property
     def _touching(self) -> np.ndarray:
-        """(B, 5) bool: fingers with points beyond the palm that touch or are touched."""
+        """(B, 5) bool: true for fingers with points beyond the palm that touch or are touched."""
         fingers = np.zeros((len(self), 5), dtype=bool)
         if self.touches is not None:
             row, point = np.nonzero(np.isfinite(self.touches))
@@ -142,13 +143,13 @@ class _Frames(Batch):
 
     @property
     def _idle(self) -> np.ndarray:
-        """(B, 5) bool: fingers that neither pins nor touches move by themselves."""
+        """(B, 5) bool: true for fingers that neither pins nor touches move by themselves."""
         return pinning.unpinned_fingers(self.pins) & ~self._touching
 
     def _solve_fingers(self) -> tuple[State, np.ndarray]:
         """Fit the fingers with pins beyond their knuckles, and those that touch; all else is fixed.
 
-        Returns their poses, and the joints (B, 16) bool that were fixed.
+        Returns the poses, and the joints (B, 16) bool that were fixed.
         """
         pins = pinning.finger_pins(self.pins)
         displaced = pinning.displacement(pins, self.seen.pixels)
@@ -194,8 +195,8 @@ class _Frames(Batch):
         return found, fixed
 
     def _restart_poses(self) -> list[State]:
-        """The hands with their fingers bent as in `restart_bends`, for fingers that are stuck on their
-        way."""
+        """Return the hands with their fingers bent as in `restart_bends`, to start again with fingers that
+        are stuck on their way."""
         model = self.fitter.model
         upper = joint_limits(model.side, model.name).upper[JOINTS_BY_FINGER - 1]  # (5, 3, 3)
         states = []
@@ -211,7 +212,7 @@ class _Frames(Batch):
         """Fit palm and fingers from the pose `reached` by the fingers alone, whose landmarks are `seen`;
         `left` are the pixels (B, 21) from there to the pins.
 
-        Returns their poses, and the joints (B, 16) bool that were fixed.
+        Returns the poses, and the joints (B, 16) bool that were fixed.
         """
         size = pinning.hand_sizes(seen.pixels)
         uncertainty = pinning.propagate(
@@ -234,8 +235,8 @@ class _Frames(Batch):
         return self._solved(aim, reached, distance_sigma, uncertainty, fixed, starts), fixed
 
     def _shifted(self, state: State, pixels: np.ndarray) -> State:
-        """Hands, whose landmarks are at pixels (B, 21, 2), moved across the pictures by the mean displacement
-        of their pins; by 0 where there is none."""
+        """Return the hands, whose landmarks are at `pixels` (B, 21, 2), moved across the pictures by the mean
+        displacement of their pins; hands without pins stay."""
         off = self.pins - pixels
         at = np.asarray(np.isfinite(off).all(axis=-1))
         mean = np.where(at[..., None], off, 0.0).sum(axis=1) / np.maximum(at.sum(axis=1), 1)[:, None]
@@ -264,8 +265,8 @@ class _Frames(Batch):
 
 
 def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> HandMotion:
-    """All frames (T), fitted over time. Frames with pins or touches are fitted twice: without these, which
-    gives the wrist's distance, and with them."""
+    """Fit all T frames over time. Frames with pins or touches are fitted twice: without these, which gives
+    the wrist's distance, and with them."""
     posed, points = posed_in_front(hand, model)
     edited = hand.pinned.any(axis=1) | hand.touching
     rows = np.flatnonzero(hand.detected | (posed & edited))
@@ -331,7 +332,8 @@ def _corrected(
     rows: np.ndarray,
     plain: State,
 ) -> tuple[Observation, np.ndarray]:
-    """The observation of the frames `rows` with their pins and touches, and the indices of those it changes.
+    """Make the observation of the frames `rows` with their pins and touches; return it with the indices of
+    the frames that these change.
 
     Distances are kept at those of `plain`, the fit without pins and touches.
     """
@@ -351,7 +353,7 @@ def _corrected(
 
 
 def _touches(hand: RefineHand, rows: np.ndarray) -> np.ndarray | None:
-    """(N, 21) the touches of the frames `rows`; None where there are none."""
+    """Return the touches (N, 21) of the frames `rows`; None where there are none."""
     return None if hand.touches is None or not hand.touching[rows].any() else np.asarray(hand.touches)[rows]
 
 
@@ -364,8 +366,8 @@ def _with_touches(
     *,
     seen: bool = False,
 ) -> np.ndarray:
-    """(B, 21) pixels by which pins displace points, increased by what touches (B, 21) do; `seen`: by what can
-    be seen of that, across the line of sight.
+    """Return the pixels (B, 21) by which pins displace points, increased by what touches (B, 21) displace
+    them; with `seen` by what can be seen of that, across the line of sight.
 
     Either finger of a touch may have to close the whole gap; the palm does not move for it.
     """
@@ -392,7 +394,8 @@ def _with_touches(
 
 
 def with_fixed(hand: RefineHand, fixed: np.ndarray, pose: Sequence[np.ndarray]) -> HandMotion:
-    """The solver's poses, with those of the joints `fixed` (T, 16) bool as given, to the last bit."""
+    """Return the solver's poses, with those of the joints that `fixed` (T, 16) bool marks as they were given,
+    to the last bit."""
     wrist, fingers = fixed[:, :1].repeat(3, axis=1), fixed[:, 1:].repeat(3, axis=1)
     rows = (
         np.where(np.isfinite(found) & joints, own, found)
@@ -402,7 +405,8 @@ def with_fixed(hand: RefineHand, fixed: np.ndarray, pose: Sequence[np.ndarray]) 
 
 
 def _joints(wrist: np.ndarray, fingers: np.ndarray) -> np.ndarray:
-    """(N,) of wrists and (N, 5) of fingers -> (N, 16) of their joints, in MANO's order."""
+    """Spread a value of each wrist (N,) and of each finger (N, 5) over their joints (N, 16), in MANO's
+    order."""
     joints = np.empty((len(fingers), NUM_JOINTS), dtype=fingers.dtype)
     joints[:, 0] = wrist
     joints[:, JOINTS_BY_FINGER] = fingers[..., None]
@@ -410,14 +414,14 @@ def _joints(wrist: np.ndarray, fingers: np.ndarray) -> np.ndarray:
 
 
 def check_stop(should_stop: ShouldStop) -> None:
-    """Raise Cancelled when the fit is to stop."""
+    """Raise Cancelled when `should_stop` says that the fit is to stop."""
     if should_stop():
         raise Cancelled("re-fitting was stopped; nothing was changed")
 
 
 def posed_in_front(hand: RefineHand, model: HandModel) -> tuple[np.ndarray, np.ndarray]:
-    """(T,) bool: frames whose pose is in front of the camera; and the landmarks (T, 21, 3) of these poses in
-    metres, camera frame, with ones in all other frames."""
+    """Return which frames have a pose in front of the camera, (T,) bool, and the landmarks (T, 21, 3) of
+    these poses in metres, camera frame, with ones in all other frames."""
     posed = hand.present
     points = np.ones((len(hand), NUM_KEYPOINTS, 3))
     points[posed] = landmark_points(model, hand.betas, *(rows[posed] for rows in hand.pose))
@@ -427,14 +431,14 @@ def posed_in_front(hand: RefineHand, model: HandModel) -> tuple[np.ndarray, np.n
 
 
 def _landmarks(hand: RefineHand, rows: np.ndarray) -> Landmarked:
-    """Corrected landmarks of the frames `rows`; NaN where nothing is detected."""
+    """Return the corrected landmarks of the frames `rows`; NaN where nothing is detected."""
     there = hand.detected[rows]
     return _over_rows(_corrected_once(hand.side, _detections_in(hand, rows[there])), there)
 
 
 def _two_view_landmarks(hand: RefineHand, rows: np.ndarray) -> tuple[Landmarked, SecondView | None]:
-    """`_landmarks`, and what the second camera saw of these frames; None: it saw nothing. Where both see the
-    hand they are weighted as a capture of two views weights them."""
+    """Return the landmarks of the frames `rows`, and what the second camera saw of them; None where it saw
+    nothing. Where both views see the hand they are weighted as a capture of two views weights them."""
     second = hand.second
     if second is None or not len(second.times):
         return _landmarks(hand, rows), None
@@ -454,7 +458,8 @@ def _detections_in(hand: RefineHand, frames: np.ndarray) -> Detections:
 
 
 def _over_rows(seen: Landmarked, there: np.ndarray) -> Landmarked:
-    """The landmarks of those of N frames that are `there` (N,) bool, with NaN in the others."""
+    """Spread landmarks over N frames: they belong to the frames that `there` (N,) bool marks, and the others
+    get NaN."""
     columns = (seen.pixels, seen.pixel_sigma, seen.depth, seen.depth_sigma)
     return Landmarked(*(scatter(each, there, len(there)) for each in columns))
 
@@ -473,7 +478,7 @@ def _corrected_once(side: Side, detections: Detections) -> Landmarked:
 
 
 def chunks_of(rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Chunks of the frames `rows`, and their indices in it."""
+    """Split the frames `rows` into chunks; yields each chunk's frames, and their indices in `rows`."""
     for first in range(0, len(rows), SOLVER.chunk_frames):
         part = np.arange(first, min(first + SOLVER.chunk_frames, len(rows)))
         yield rows[part], part
@@ -486,7 +491,8 @@ def states_of(
     known: np.ndarray,
     rows: np.ndarray,
 ) -> State:
-    """The poses of the frames `rows` in `source`; where they are not `known`, a flat hand at the camera."""
+    """Return the poses that `source` has in the frames `rows`; where they are not `known`, a flat hand at the
+    camera."""
     orient, fingers, place = (
         np.where(known[:, None], np.asarray(each, dtype=np.float64)[rows], 0.0) for each in source.pose
     )
@@ -502,8 +508,8 @@ def _start(
     observed: Observation,
     rows: np.ndarray,
 ) -> State:
-    """The solver's start: the poses of `_poses` with the depth's zero, and a relaxed hand where none is
-    known."""
+    """Return the states that the solver starts from: the poses of `source` with where depth is zero, and a
+    relaxed hand where no pose is known."""
     state = states_of(fitter, hand, source, known, rows)
     along = (fitter.chain.points(state) * observed.ray[:, None]).sum(axis=2).mean(axis=1)
     state = replace(state, depth_zero=along)
@@ -522,7 +528,7 @@ def cheapest(
     solid: bool = False,
 ) -> Solution:
     """Fit independent frames from each of several starts, and take the lowest cost, or the first start's
-    where it is not much higher. `max_iterations`: None for those of captures."""
+    where it is not much higher. `max_iterations`: None for as many as captures take."""
     count = len(observed)
     index = np.tile(np.arange(count), len(starts))
     fixed = fixed if fixed is None or len(starts) == 1 else fixed.select(index)
@@ -538,5 +544,5 @@ def cheapest(
 
 
 def fixed_at(joints: np.ndarray, state: State) -> FixedJoints | None:
-    """The joints (B, 16) bool of B hands, fixed at `state`; None where there are none."""
+    """Return the joints (B, 16) bool of B hands as fixed at `state`; None where no joint is."""
     return FixedJoints(joints, state) if joints.any() else None

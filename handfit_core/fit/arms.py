@@ -27,9 +27,11 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import turn_from_axis, units
 
 FREE: Final = 7
-"""Unknowns of an arm in a frame: the wrist's place, and two of each direction, the forearm's first"""
+"""Number of an arm's unknowns in a frame: three for the wrist's place, then two increments each for the
+directions of forearm and upper arm"""
 SHOULDER, ELBOW, WRIST, UPPER, FOREARM = (slice(3 * i, 3 * i + 3) for i in range(5))
-"""Columns of derivatives by s, e, w, u and f"""
+"""Columns, among the 15 of a residual's derivatives, by the shoulder s, the elbow e, the wrist w, and the
+directions u of the upper arm and f of the forearm"""
 
 
 @dataclass(frozen=True)
@@ -38,22 +40,23 @@ class ArmSettings:
 
     upper_arm: float = 1.56
     forearm: float = 1.49
-    """Lengths in hand lengths: means of both sexes' between joint centres (de Leva, "Adjustments to
-    Zatsiorsky-Seluyanov's segment inertia parameters", 1996)"""
+    """Usual lengths of the upper arm and of the forearm in hand lengths: means of both sexes' between joint
+    centres (de Leva, "Adjustments to Zatsiorsky-Seluyanov's segment inertia parameters", 1996)"""
     length_sigma: float = 0.06
-    """Relative deviation of people's lengths"""
+    """Standard deviation, among people, of an arm's lengths relative to the usual ones"""
     correlated_seconds: float = 0.5
     """seconds over which what is seen errs alike, so that it tells only once how long the arms are"""
     shoulders: float = 1.8
-    """Distance of the shoulder joints in hand lengths"""
+    """Usual distance of a person's shoulder joints in hand lengths"""
     wrist_sigma: float = 2e-4
-    """metres across the line of sight: the hand lies on the picture, and the arm hangs on it"""
+    """metres, across the line of sight, by which the arm's wrist may miss the hand's: the hand lies on the
+    picture, and the arm hangs on it"""
     distance_sigma: float = 0.1
     """Relative deviation of the wrist's distance from the hand's, whose size in the picture tells it"""
     joint_sigma: float = 0.12
     """hand lengths by which the body network's points are off in the picture"""
     direction_sigma: float = 0.2
-    """The body network's directions, radians"""
+    """radians by which the body network's directions of upper arm and forearm are expected to err"""
     flexion_sigma: float = math.radians(30.0)
     deviation_sigma: float = math.radians(13.0)
     """radians by which wrists are bent up or down, and to either side, as a rule"""
@@ -61,17 +64,20 @@ class ArmSettings:
     """radians between hand and forearm that a wrist allows"""
     bend_sigma: float = math.radians(3.0)
     width_sigma: float = 0.02
-    """metres"""
+    """metres by which the distance of both shoulders is expected to differ from the usual one"""
     huber: float = 1.5
-    """sigmas from which on points and directions of the network count as outliers, and less"""
+    """sigmas of a residual beyond which a point or a direction of the body network counts as an outlier,
+    whose cost grows no faster than linearly"""
     wrist_acceleration: float = 3.0
     elbow_acceleration: float = 2.0
     shoulder_acceleration: float = 0.3
-    """metres per second squared that are expected. The wrist's matters in depth only"""
+    """metres per second squared: accelerations that are expected of wrist, elbow and shoulder. The wrist's
+    matters in depth only"""
     resting_speed: float = 0.015
     """metres per second at which the arm of a resting hand is expected to move"""
     speed_share: float = 1.0
-    """The share of the hand's speed at which the arm of a moving one is expected to move beside that"""
+    """Share of the hand's speed that is added to `resting_speed` as the speed at which the arm of a moving
+    hand is expected to move"""
     overlap_seconds: float = 4.0
     """seconds that two windows of a long clip share"""
     iterations: int = 30
@@ -92,44 +98,45 @@ class ArmsSeen(Batch):
     hand: np.ndarray
     """(T, A, 3, 3) unit rows: along the hand, across its palm, towards the thumb; NaN without a hand"""
     pixels: np.ndarray
-    """(T, A, 3, 2) the body network's shoulder, elbow and wrist"""
+    """(T, A, 3, 2) pixels: shoulder, elbow and wrist as the body network sees them"""
     visibility: np.ndarray
-    """(T, A, 3) of these, 0..1; 0 in frames without a body"""
+    """(T, A, 3) how visible shoulder, elbow and wrist are, 0..1; 0 in frames without a body"""
     directions: np.ndarray
     """(T, A, 2, 3) unit vectors of the body network's upper arm and forearm, towards the hand"""
     lengths: np.ndarray
-    """(T, A, 2) metres of the upper arm and the forearm as expected, equal in all frames"""
+    """(T, A, 2) metres: the expected lengths of the upper arm and the forearm, equal in all frames"""
     hand_length: float
-    """metres"""
+    """metres: the length of the fitted hand, in which the settings tell the lengths of arms"""
     camera: Intrinsics
 
     @property
     def with_hand(self) -> np.ndarray:
-        """(T, A) bool"""
+        """(T, A) bool: true in frames in which an arm has a fitted hand."""
         return np.isfinite(self.wrist[..., 0])
 
 
 @dataclass(frozen=True, eq=False)
 class Arms(Batch):
-    """A arms in T frames."""
+    """The pose of A arms of one person in T frames, in metres, camera frame."""
 
     wrist: np.ndarray
-    """(T, A, 3) metres"""
+    """(T, A, 3) metres: the wrist joint of each arm"""
     forearm: np.ndarray
-    """(T, A, 3) unit vectors"""
+    """(T, A, 3) unit vectors along the forearm, from the elbow to the wrist"""
     upper: np.ndarray
-    """(T, A, 3) unit vectors"""
+    """(T, A, 3) unit vectors along the upper arm, from the shoulder to the elbow"""
     lengths: np.ndarray
-    """(T, A, 2) metres of upper arm and forearm, equal in all frames"""
+    """(T, A, 2) metres: the lengths of the upper arm and the forearm, equal in all frames"""
 
     @property
     def points(self) -> np.ndarray:
-        """(T, A, 3, 3) shoulder, elbow and wrist, metres."""
+        """(T, A, 3, 3) the places of shoulder, elbow and wrist, in metres, camera frame."""
         elbow = self.wrist - self.lengths[..., 1:] * self.forearm
         return np.stack([elbow - self.lengths[..., :1] * self.upper, elbow, self.wrist], axis=-2)
 
     def derivatives(self) -> np.ndarray:
-        """(T, A, 15, 9) of (s, e, w, u, f) by the unknowns, and by the logarithms of both lengths."""
+        """(T, A, 15, 9) derivatives of shoulder, elbow, wrist, upper arm's and forearm's direction, three
+        rows each, by the arm's seven unknowns and by the logarithms of both lengths."""
         matrix = np.zeros((*self.wrist.shape[:2], 15, FREE + 2))
         upper, forearm = self.lengths[..., :1], self.lengths[..., 1:]
         matrix[..., UPPER, 5:7], matrix[..., FOREARM, 3:5] = _across(self.upper), _across(self.forearm)
@@ -141,7 +148,8 @@ class Arms(Batch):
         return matrix
 
     def moved(self, step: np.ndarray, longer: np.ndarray) -> Arms:
-        """By increments (T, A, 7), with lengths that grow by logarithms (T, 2)."""
+        """Return the arms moved by increments (T, A, 7) of their unknowns, with lengths that grow by
+        logarithms (T, 2)."""
         turned = (self.derivatives()[..., :FREE] @ step[..., None])[..., 0]
         return Arms(
             self.wrist + step[..., :3],
@@ -152,11 +160,12 @@ class Arms(Batch):
 
 
 Rows = tuple[np.ndarray, np.ndarray]
-"""Residuals (T, A, K) and their derivatives (T, A, K, 15) by s, e, w, u and f"""
+"""Residuals (T, A, K) of A arms in T frames, in sigmas, and their derivatives (T, A, K, 15) by shoulder,
+elbow, wrist, upper arm's and forearm's direction"""
 
 
 def at_hand(arms: Arms, seen: ArmsSeen) -> Rows:
-    """The wrist less the hand's: across the line of sight, and along it."""
+    """Residuals of the arm's wrist against the fitted hand's, across the line of sight and along it."""
     there = seen.with_hand
     place = np.where(there[..., None], seen.wrist, [0.0, 0.0, 1.0])
     distance = np.linalg.norm(place, axis=-1, keepdims=True)
@@ -169,8 +178,8 @@ def at_hand(arms: Arms, seen: ArmsSeen) -> Rows:
 
 
 def in_picture(arms: Arms, seen: ArmsSeen) -> Rows:
-    """How far shoulder, elbow and, where there is no hand, wrist are beside the rays of the body network's
-    points, metres."""
+    """Residuals of shoulder, elbow and, where there is no hand, wrist against the body network's points: the
+    metres by which each lies beside the ray through its point, in sigmas."""
     points = arms.points
     weight = seen.visibility / (ARMS.joint_sigma * seen.hand_length)
     weight[..., 2] *= ~seen.with_hand
@@ -185,7 +194,7 @@ def in_picture(arms: Arms, seen: ArmsSeen) -> Rows:
 
 
 def along_network(arms: Arms, seen: ArmsSeen) -> Rows:
-    """The directions of upper arm and forearm less those of the body network."""
+    """Residuals of the directions of upper arm and forearm against those that the body network sees."""
     found = np.stack([arms.upper, arms.forearm], axis=-2)
     # A bone is seen as well as its worse end.
     weight = np.minimum(seen.visibility[..., :2], seen.visibility[..., 1:])[..., None] / ARMS.direction_sigma
@@ -196,7 +205,8 @@ def along_network(arms: Arms, seen: ArmsSeen) -> Rows:
 
 
 def within_wrist(arms: Arms, seen: ArmsSeen) -> Rows:
-    """The forearm in the hand's axes: hardly bent as a rule, and no farther than a wrist allows."""
+    """Residuals of the forearm in the hand's axes, as wrists are hardly bent as a rule, and never farther
+    than they allow."""
     there = seen.with_hand[..., None, None]
     axes = np.where(there, seen.hand, 0.0)
     along = (axes @ arms.forearm[..., None])[..., 0]
@@ -220,8 +230,8 @@ TERMS: Final[tuple[Callable[[Arms, ArmsSeen], Rows], ...]] = (
 
 
 def shoulder_width(arms: Arms, seen: ArmsSeen) -> Rows:
-    """The distance of the shoulders of two arms less the expected one: (T, 1), and derivatives
-    (T, 1, 2, 15)."""
+    """Residuals (T, 1) of the distance between the shoulders of two arms against the usual one, and their
+    derivatives (T, 1, 2, 15) by both arms."""
     shoulder = arms.points[..., 0, :]
     between = shoulder[:, 1] - shoulder[:, 0]
     distance = np.maximum(np.linalg.norm(between, axis=-1, keepdims=True), 1e-6)
@@ -232,9 +242,9 @@ def shoulder_width(arms: Arms, seen: ArmsSeen) -> Rows:
 
 
 def fit_arms(seen: ArmsSeen, fps: float) -> Arms:
-    """The arms of T consecutive frames, at `fps` frames per second, window by window; the first window tells
-    their lengths. Frames in which nothing is seen follow from their neighbours; each arm must have a hand,
-    and a body, in one frame at least."""
+    """Fit the arms of T consecutive frames, at `fps` frames per second, window by window; the first window
+    tells their lengths. Frames in which nothing is seen follow from their neighbours; each arm must have a
+    hand, and a body, in one frame at least."""
     lengths: np.ndarray | None = None
 
     def window(rows: slice, start: Arms) -> Arms:
@@ -249,7 +259,7 @@ def fit_arms(seen: ArmsSeen, fps: float) -> Arms:
 
 
 def solve_arms(fit: ArmFit, start: Arms) -> Arms:
-    """Solve T frames at once."""
+    """Solve all T frames of a fit at once, starting from the arms `start`."""
     return solve(
         fit,
         start,
@@ -260,7 +270,8 @@ def solve_arms(fit: ArmFit, start: Arms) -> Arms:
 
 
 def first_guess(seen: ArmsSeen) -> Arms:
-    """The hand's wrist and the body network's directions, interpolated where there is none."""
+    """Return the arms to start from: the hand's wrist and the body network's directions, interpolated over
+    frames that lack them."""
     count = len(seen.wrist)
     values = [seen.wrist.copy(), seen.directions[..., 1, :].copy(), seen.directions[..., 0, :].copy()]
     bodies = seen.visibility[..., 0] > 0.0
@@ -278,17 +289,18 @@ class _System:
     """The normal equations of P = 7 A unknowns in each of T frames, and of both lengths' logarithms."""
 
     cost: np.ndarray
-    """(T,)"""
+    """(T,) the cost of each frame, in squared sigmas"""
     blocks: np.ndarray
-    """(T, 3 P, P) columns of the matrix: a frame with itself, the next one and the one after"""
+    """(T, 3 P, P) columns of the matrix, in which each frame is coupled with itself, the next frame and the
+    one after"""
     gradient: np.ndarray
-    """(T, P)"""
+    """(T, P) the gradient of the cost by each frame's unknowns"""
     border: np.ndarray
-    """(T, P, 2)"""
+    """(T, P, 2) the part of the matrix that couples each frame's unknowns with both lengths"""
     corner: np.ndarray
-    """(2, 2)"""
+    """(2, 2) the part of the matrix that couples the two lengths with each other"""
     by_length: np.ndarray
-    """(2,) the gradient by the lengths"""
+    """(2,) the gradient of the cost by the logarithms of both lengths"""
 
     def add(self, residual: np.ndarray, jacobian: np.ndarray) -> None:
         """Add R residuals (T', R) of s consecutive frames each, T' = T - s + 1, with their derivatives
@@ -313,10 +325,10 @@ class ArmFit(CoupledFrames):
     seen: ArmsSeen
     fps: float
     learn: bool = True
-    """True if the lengths are unknown, too"""
+    """True if the lengths of the arms are solved for, too; else they stay as they are"""
 
     def blocks(self, state: Arms) -> _System:
-        """The normal equations of the whole clip, and each frame's cost."""
+        """Return the normal equations of the whole clip, and each frame's cost."""
         arms, seen, (count, number) = state, self.seen, state.wrist.shape[:2]
         size, derivatives = number * FREE, arms.derivatives()
         system = _System(*(np.zeros(shape) for shape in (
@@ -351,8 +363,8 @@ class ArmFit(CoupledFrames):
     def step(
         self, state: Arms, blocks: _System, damping: np.ndarray
     ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-        """Increments (T, A, 7), and the lengths' logarithms (T, 2), 0 unless `learn`; and the predicted
-        decrease (T,)."""
+        """Solve for increments (T, A, 7) of the arms' unknowns and (T, 2) of both lengths' logarithms, which
+        are 0 unless `learn`; also return the predicted decrease (T,) of each frame's cost."""
         count, size = blocks.gradient.shape
         band = np.zeros((count, size, 3 * size))
         put_lower(band, slice(None), blocks.blocks)
@@ -366,7 +378,8 @@ class ArmFit(CoupledFrames):
 
 
 def _of_all(jacobian: np.ndarray) -> np.ndarray:
-    """Derivatives (T, A, K, 9) of each arm's rows -> (T, A K, 7 A + 2) by all arms' unknowns, and lengths."""
+    """Turn derivatives (T, A, K, 9) of each arm's rows by its own unknowns into (T, A K, 7 A + 2) by the
+    unknowns of all arms and by the two lengths."""
     count, number, rows, _ = jacobian.shape
     own = np.zeros((count, number, rows, number, FREE))
     for arm in range(number):
@@ -376,14 +389,15 @@ def _of_all(jacobian: np.ndarray) -> np.ndarray:
 
 
 def _of_acceleration(fps: float) -> np.ndarray:
-    """(9,) one over the expected second differences of shoulder, elbow and wrist."""
+    """(9,) the factors that turn second differences of shoulder, elbow and wrist from frame to frame, in
+    metres, into sigmas."""
     sigma = np.array([ARMS.shoulder_acceleration, ARMS.elbow_acceleration, ARMS.wrist_acceleration])
     return np.repeat(fps**2 / sigma, 3)
 
 
 def _of_speed(seen: ArmsSeen, fps: float) -> np.ndarray:
-    """(T - 1, 9 A) one over the expected first differences: an arm whose hand rests hardly moves. Nothing is
-    expected of arms without a hand."""
+    """(T - 1, 9 A) the factors that turn first differences of shoulder, elbow and wrist, in metres, into
+    sigmas: an arm whose hand rests hardly moves. They are 0 for arms without a hand."""
     rows = np.arange(len(seen.wrist))
     # Over so long that the hand's own tremor is none.
     lag = max(round(0.2 * fps), 1)
@@ -395,8 +409,8 @@ def _of_speed(seen: ArmsSeen, fps: float) -> np.ndarray:
 
 
 def _robust(residual: np.ndarray, jacobian: np.ndarray) -> Rows:
-    """Huber's kernel over the last axis of residuals (T, A, N, K): rows (T, A, N K) whose squares are its
-    cost, with derivatives that lead downhill."""
+    """Apply Huber's kernel over the last axis of residuals (T, A, N, K): return rows (T, A, N K) whose
+    squares are its cost, with derivatives that lead downhill."""
     size = np.linalg.norm(residual, axis=-1, keepdims=True)
     safe = np.maximum(size, ARMS.huber)
     cost = np.sqrt(ARMS.huber * (2.0 * safe - ARMS.huber)) / safe
@@ -408,6 +422,6 @@ def _robust(residual: np.ndarray, jacobian: np.ndarray) -> Rows:
 
 
 def _across(direction: np.ndarray) -> np.ndarray:
-    """(..., 3) unit vectors -> (..., 3, 2) two axes across each."""
+    """Return for each unit vector (..., 3) two unit axes across it, as columns (..., 3, 2)."""
     facing = np.where(direction[..., 2:] < 0.0, -1.0, 1.0)
     return turn_from_axis(direction * facing)[..., :2]

@@ -14,10 +14,10 @@ S = TypeVar("S", bound=Batch)
 
 
 def solve_windows(start: S, overlap: int, solve: Callable[[slice, S], S]) -> S:
-    """Solve T consecutive frames window by window; two windows share `overlap` frames.
+    """Solve T consecutive frames window by window; two neighbouring windows share `overlap` frames.
 
-    `solve` takes a window and its start, and returns its frames. Of the frames that two windows share, the
-    first half is the earlier one's.
+    `solve` takes the slice of a window's frames and the states that they start from, and returns their
+    solution. Of the frames that two windows share, the first half is taken from the earlier window.
     """
     count, state, first = len(start), start, 0
     while True:
@@ -58,7 +58,8 @@ def solve_bordered(
 
 
 def solve_band(band: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The solution of a positive definite banded system in LAPACK's lower form, which is overwritten."""
+    """Solve a positive definite banded system with matrix `band` in LAPACK's lower form, which is
+    overwritten, and return the solution."""
     from scipy.linalg import solveh_banded  # slow to load
 
     return solveh_banded(band, right, overwrite_ab=True, overwrite_b=True, lower=True, check_finite=False)

@@ -24,19 +24,20 @@ class Blocks(Batch):
     hand itself, 17 or, with a given shape, 7, and those of cameras, which are common to all."""
 
     hand: np.ndarray
-    """(B, n, n + 1)"""
+    """(B, n, n + 1) the matrix of the hand's own variables, with their gradient as the last column"""
     finger: np.ndarray
-    """(B, 5, 9, 9 + n + 1): the finger's block, its coupling with the hand, and the gradient"""
+    """(B, 5, 9, 9 + n + 1) for each finger the matrix of its nine angles, what couples them with the hand's
+    variables, and their gradient"""
     cost: np.ndarray
-    """(B,) squared sigmas"""
+    """(B,) the cost of each problem, in squared sigmas"""
     between: np.ndarray | None = None
-    """(B, 45, 45) coupling of fingers with each other, with zeros in each finger's own block; None: no hand
-    of the batch has any"""
+    """(B, 45, 45) what couples the angles of different fingers, with zeros in each finger's own block; None
+    where no hand of the batch has any"""
 
     def with_fixed(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> Blocks:
-        """The problems with some variables fixed: the increments of these come out as exactly zero.
+        """Return the problems with some variables fixed: the increments of these come out as exactly zero.
 
-        `of_hand` (B, n) and `of_fingers` (B, 5, 9) bool: the fixed variables.
+        `of_hand` (B, n) and `of_fingers` (B, 5, 9) are bool: true for the fixed variables.
         """
         batch, n, _ = self.hand.shape
         free = 1.0 - np.concatenate([of_hand, np.zeros((batch, 1))], axis=1)
@@ -53,9 +54,10 @@ class Blocks(Batch):
         return Blocks(hand, finger, self.cost, between)
 
     def step(self, damping: np.ndarray, *, shared_shape: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Increments (B, n) and (B, 5, 9) under Levenberg-Marquardt damping (B,), relative to the diagonals.
+        """Solve for increments (B, n) of the hand's variables and (B, 5, 9) of the fingers' angles under
+        Levenberg-Marquardt damping (B,), relative to the matrix diagonals.
 
-        With `shared_shape` the increments of the betas are the same in all B problems.
+        With `shared_shape` all B problems get one common increment of the betas.
         """
         reduced, solved = self._without_fingers(damping)
         if shared_shape:
@@ -67,14 +69,14 @@ class Blocks(Batch):
         return of_hand, of_fingers
 
     def common_information(self) -> np.ndarray:
-        """(c, c) information of what is common to all B problems, the betas and the cameras, with everything
-        else free."""
+        """(c, c) information matrix of the variables that all B problems have in common, the betas and the
+        cameras, with everything else free."""
         reduced, _ = self._without_fingers(np.zeros(len(self.cost)))
         return _of_common(reduced)[0][:, :-1]
 
     def _without_fingers(self, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The hands' systems (B, n, n + 1) with the fingers eliminated, and the fingers' answers
-        (B, 5, 9, n + 1) to each of their columns."""
+        """Eliminate the fingers: return the hands' systems (B, n, n + 1) without them, and the fingers'
+        answers (B, 5, 9, n + 1) to each column of these systems."""
         batch, n, _ = self.hand.shape
         # Faster than solving for the few right sides, and accurate enough for a step.
         own = _damped(self.finger[..., :9], damping[:, None])
@@ -92,7 +94,7 @@ class Blocks(Batch):
         return reduced, solved
 
     def predicted_decrease(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> np.ndarray:
-        """(B,) by how much a step decreases the cost at least, if the residuals are linear: -g^T x."""
+        """(B,) by how much a step x decreases the cost at least, if the residuals are linear: -g^T x."""
         of_all = (self.finger[..., -1] * of_fingers).sum(axis=(1, 2))
         return -of_all - (self.hand[..., -1] * of_hand).sum(axis=1)
 
@@ -106,8 +108,9 @@ def _damped(matrix: np.ndarray, damping: np.ndarray) -> np.ndarray:
 
 
 def _of_common(system: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The system (c, c + 1) of the betas and the cameras' variables, from B systems (B, n, n + 1);
-    the own variables' answers (B, o, c + 1) to each of its columns, and the indices of both."""
+    """Eliminate what is each hand's own from B systems (B, n, n + 1). Returns the system (c, c + 1) of the
+    betas and the cameras' variables, the answers (B, o, c + 1) of a hand's o own variables to each of its
+    columns, and the indices of common and of own variables."""
     n = system.shape[1]
     common = np.r_[BETAS, HAND_SIZE:n]
     own = np.setdiff1d(np.arange(n), common)
@@ -119,8 +122,8 @@ def _of_common(system: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
 
 
 def _with_one_shape(system: np.ndarray) -> np.ndarray:
-    """(B, n) solutions of systems (B, n, n + 1) whose betas are common to all, and what follows a hand's own
-    variables."""
+    """Solve B systems (B, n, n + 1) whose betas are common to all; returns the increments (B, n), in which
+    each hand's own variables follow from the common ones."""
     total, solved, common, own = _of_common(system)
     found = np.empty(system.shape[:2])
     found[:, common] = shape = np.linalg.solve(total[:, :-1], total[:, -1])

@@ -25,11 +25,11 @@ from handfit_core.geometry.rotations import euler_to_rotmat
 from handfit_core.hand_model.chain import State, turns_by_angles
 
 FRAME_VARIABLES = 51
-"""Root (3), 15 joints (45), place (3)"""
+"""Number of variables of a frame: the root's turn (3), the angles of 15 joints (45), the wrist's place (3)"""
 _BAND = 2 * FRAME_VARIABLES + 2
-"""Subdiagonals, down to a rotation's third component two frames on"""
+"""Number of the band matrix's subdiagonals, which reach to a rotation's third component two frames on"""
 _HAND = np.r_[0:3, 48:51]
-"""Where the root's rotation and the place stand among a frame's variables. The hand's seventh variable, the
+"""Indices of the root's rotation and of the place among a frame's variables. The hand's seventh variable, the
 zero of depth, is none of these: it is eliminated in each frame"""
 
 
@@ -38,30 +38,31 @@ class MotionPrior:
     """Standard deviations of a hand's accelerations, per frame of the clip."""
 
     rotation: float
-    """radians per frame squared"""
+    """radians per frame squared: the standard deviation of a joint's rotational acceleration"""
     place: float
-    """metres per frame squared"""
+    """metres per frame squared: the standard deviation of the wrist's acceleration"""
     overlap: int = 60
-    """Frames that two windows share: frames farther apart hardly influence each other"""
+    """Number of frames that two windows share: frames farther apart hardly influence each other"""
 
 
 @dataclass(frozen=True, eq=False)
 class ClipProblem(CoupledFrames):
-    """The fit of T consecutive frames at once."""
+    """The least-squares problem of fitting T consecutive frames at once, which motion couples."""
 
     frames: Problem
-    """The frames, each by itself, of one given shape"""
+    """The problem of fitting each frame by itself, with the shape given"""
     motion: MotionPrior
     motion_scale: np.ndarray | None = None
-    """(T,) factors of the palm's expected rotational acceleration; None: 1"""
+    """(T,) factors of the palm's expected rotational acceleration; None: 1 in all frames"""
     observed: np.ndarray | None = None
-    """(T,) bool: frames whose observation counts; the others follow their neighbours. None: all count"""
+    """(T,) bool: true for frames whose observation counts; the others follow from their neighbours. None: all
+    count"""
     before_each: Callable[[], None] = lambda: None
-    """Called before each window and each of its iterations; may raise to stop"""
+    """A function that is called before each window and each of its iterations, and may raise to stop"""
 
     def blocks(self, state: State) -> Blocks:
-        """The frames' own systems, zero in frames that are not observed, and their costs with those of the
-        accelerations about them."""
+        """Return the systems of the single frames, zero in frames that are not observed, and each frame's
+        cost with that of the accelerations about it."""
         self.before_each()
         free = replace(self.frames, fixed=None)
 
@@ -83,8 +84,9 @@ class ClipProblem(CoupledFrames):
     def step(
         self, state: State, blocks: Blocks, damping: np.ndarray
     ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-        """Increments (T, 7) and (T, 5, 9), and the predicted decrease (T,). Where depth is zero is eliminated
-        first, and follows from the others."""
+        """Solve for increments (T, 7) of the hands' variables and (T, 5, 9) of the angles; also return the
+        predicted decrease (T,). The variable that says where depth is zero is eliminated first, and follows
+        from the others."""
         along = np.concatenate([blocks.hand[:, 6], blocks.finger[..., 15].reshape(-1, 45)], axis=1)
         # (T, 51) coupling of depth's zero with the others, (T,) its own square, (T,) its gradient
         mixed, square, slope = np.empty((len(state), FRAME_VARIABLES)), along[:, 6] + 1e-9, along[:, 7]
@@ -106,14 +108,16 @@ class ClipProblem(CoupledFrames):
 
     @property
     def _rotation_sigma(self) -> np.ndarray:
-        """(T - 2, 16, 1) expected accelerations, radians per frame squared."""
+        """(T - 2, 16, 1) the accelerations that are expected of the 16 joints' rotations, in radians per
+        frame squared."""
         sigma = np.full((len(self.frames), 16, 1), self.motion.rotation)
         if self.motion_scale is not None:
             sigma[:, 0, 0] *= self.motion_scale
         return sigma[1:-1]
 
     def _add_motion(self, band: np.ndarray, state: State) -> np.ndarray:
-        """Add the acceleration terms' matrices in place; returns their gradients (T, 51)."""
+        """Add the matrices of the acceleration terms to `band` in place, and return their gradients
+        (T, 51)."""
         count = len(state)
         gradient = np.zeros((count, FRAME_VARIABLES))
         view = band.T.reshape(count, FRAME_VARIABLES, _BAND + 1).transpose(2, 0, 1)
@@ -166,8 +170,8 @@ def smooth_clip(clip: ClipProblem, start: State) -> State:
 
 
 def _banded(blocks: Blocks, mixed: np.ndarray, square: np.ndarray) -> np.ndarray:
-    """(_BAND + 1, 51 T) the frames' own matrices in LAPACK's lower band form, in Fortran's order, so that
-    they are solved in place."""
+    """Write the frames' own matrices as one band (_BAND + 1, 51 T) in LAPACK's lower form, in Fortran's
+    order, so that the system is solved in place."""
     count = len(mixed)
     band = np.zeros((count, FRAME_VARIABLES, _BAND + 1))
     for rows in slices(count, SOLVER.solve_batch):
@@ -186,12 +190,13 @@ def _banded(blocks: Blocks, mixed: np.ndarray, square: np.ndarray) -> np.ndarray
 
 
 def _rotations(state: State) -> np.ndarray:
-    """(T, 16, 3, 3)"""
+    """(T, 16, 3, 3) the rotation of the root and of the 15 finger joints in each frame, as matrices."""
     return np.concatenate([state.root[:, None], euler_to_rotmat(state.angles.reshape(-1, 15, 3))], axis=1)
 
 
 def _fix(band: np.ndarray, gradient: np.ndarray, fixed: np.ndarray) -> None:
-    """Take fixed variables (T, 51) out of the matrix and the gradient in place: their increments are zero."""
+    """Take the variables that `fixed` (T, 51) marks out of the matrix and the gradient in place, so that
+    their increments are zero."""
     at = np.flatnonzero(fixed)
     gradient[fixed] = 0.0
     band[:, at] = 0.0

@@ -26,7 +26,8 @@ FILE: Final = Path(__file__).parent / "data" / "doubt.npz"
 
 @dataclass(frozen=True)
 class DoubtSettings:
-    """From the network's weights to an expected error, and from which error a hand is doubtful."""
+    """Settings that turn the network's weights into an expected error, and that say from which error on a
+    hand is doubtful."""
 
     doubtful_error: float = 0.012
     """metres of expected error from which a hand is doubtful: that marks one in eight of the rendered hands
@@ -43,8 +44,9 @@ class DoubtSettings:
     clean_crop_spread: float = 0.0081
     """Spread of the landmarks over several crops of a clean hand, in parts of its size"""
     crop_spread_power: float = 0.25
-    """Power of that spread with which the expected error grows. How far both landmark networks differ counts
-    already, in the expected errors of the points"""
+    """Power of the landmarks' spread over several crops, relative to `clean_crop_spread`, with which the
+    expected error grows. How far both landmark networks differ counts already, in the expected errors of the
+    points"""
     lifted_thumb_factor: float = 1.4
     """Factor of the expected error of a hand whose thumb seems to be lifted off a bent finger that it
     crosses"""
@@ -60,13 +62,14 @@ DOUBT: Final = DoubtSettings()
 
 
 _ACROSS, _ALONG = (17, 5), (0, 9)
-"""Pairs of keypoints that span the palm"""
+"""Pairs of keypoints whose connecting lines span the palm: index and little finger's knuckle, wrist and
+middle finger's knuckle"""
 
 
 @np.errstate(all="ignore")
 def side_logits(hands: Detections, side: Side) -> np.ndarray:
-    """(B,) logits of each being a hand of that side; the highest where a person has said so, or where the
-    side was not judged."""
+    """(B,) logits of each detected hand being one of that side; the highest logit where a person has said so,
+    or where the side was not judged."""
     judged = (hands.given_side < 0) & np.isfinite(hands.right_side)
     named = hands.side == SIDES.index(side)
     right = np.where(judged, np.where(named, hands.right_side, 1.0 - hands.right_side), 1.0)
@@ -108,10 +111,10 @@ def _weights() -> tuple[np.ndarray, np.ndarray]:
 
 @np.errstate(all="ignore")
 def expected_error(features: np.ndarray, factor: np.ndarray | float = 1.0) -> np.ndarray:
-    """(B, 5) metres that each finger is likely to be off.
+    """Return the metres (B, 5) that each finger is likely to be off.
 
-    `features`: (B, 5, 6), see `evidence`. `factor`: (B,), see `crop_spread_factor` and `lifted_thumb_factor`.
-    `max_error` where these are not finite.
+    `features`: (B, 5, 6), see `evidence`. `factor`: one number or (B,) that multiply the errors, see
+    `crop_spread_factor` and `lifted_thumb_factor`. The result is `max_error` where features are not finite.
     """
     weights, constants = _weights()
     expected = np.exp(features @ weights + constants) * np.reshape(factor, (-1, 1))
@@ -120,7 +123,8 @@ def expected_error(features: np.ndarray, factor: np.ndarray | float = 1.0) -> np
 
 @np.errstate(all="ignore")
 def crop_spread_factor(hands: Detections) -> np.ndarray:
-    """(B,) factors of the expected error, by how far the landmarks of several crops of a hand differ."""
+    """(B,) factors of the expected error of B hands, larger the more the landmarks of several crops of a hand
+    differ."""
     if hands.spread is None:
         return np.full(len(hands), DOUBT.calibration_factor)
     spread = np.linalg.norm(hands.spread[..., :2], axis=2).mean(axis=1) / np.maximum(hands.extent, 1e-9)
@@ -129,17 +133,19 @@ def crop_spread_factor(hands: Detections) -> np.ndarray:
 
 
 def lifted_thumb_factor(seen: Observation) -> np.ndarray:
-    """(B,) factors of the expected error, by whether the thumb seems to be lifted off a finger it crosses."""
+    """(B,) factors of the expected error of B hands: above 1 where the thumb seems to be lifted off a finger
+    that it crosses."""
     lifted = False if seen.self_contact is None else seen.self_contact.lifted
     return np.where(np.broadcast_to(lifted, len(seen)), DOUBT.lifted_thumb_factor, 1.0)
 
 
 def temporal_mean(expected: np.ndarray, times: Times) -> np.ndarray:
-    """(N, 5) geometric means of expected errors (N, 5) over the neighbouring frames in the same shot: errors
-    outlast a frame, and evidence flickers."""
+    """Return geometric means (N, 5) of expected errors (N, 5) in metres over the neighbouring frames in the
+    same shot: errors outlast a frame, and evidence flickers."""
     return np.exp(times.mean(np.log(expected), np.ones(2 * times.radius(DOUBT.window_seconds) + 1)))
 
 
 def doubtful(expected: np.ndarray) -> np.ndarray:
-    """(B,) bool: hands whose fingers' expected errors (B, 5) in metres exceed `doubtful_error` on average."""
+    """Tell which hands are doubtful, (B,) bool: those whose fingers' expected errors (B, 5) in metres exceed
+    `doubtful_error` on average."""
     return expected.mean(axis=1) > DOUBT.doubtful_error

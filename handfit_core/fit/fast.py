@@ -88,12 +88,13 @@ class FastFitter:
         self._length_rates = length_rates(model, self._betas)
 
     def observe(self, hands: Detections, intrinsics: Intrinsics) -> Observation:
-        """The observation of B hands through a camera."""
+        """Return the observation of B detected hands as seen through a camera."""
         depth_zero = hands.distance if np.isfinite(hands.distance).any() else None
         return observation_of(landmarked(hands, self.model.side), intrinsics, depth_zero)
 
     def start(self, seen: Observation, betas: np.ndarray | None = None) -> State:
-        """A relaxed hand laid over the landmarks, of the expected shape or of betas (10,)."""
+        """Return relaxed hands laid over the landmarks of B hands; `betas` (10,) is their shape, None for the
+        expected one."""
         return relaxed_start(self.chain, seen, self._relaxed, self._betas if betas is None else betas)
 
     def relaxed_pose(self) -> np.ndarray:
@@ -110,7 +111,7 @@ class FastFitter:
         *,
         solid: bool = False,
     ) -> Problem:
-        """The problem of fitting B hands to an observation, near `seen.anchor`, if there is one.
+        """Make the problem of fitting B hands to an observation, near `seen.anchor`, if there is one.
 
         `solid`: with the terms that couple parts of a hand, so that these do not pass through each other. The
         shape must be given, and the start roughly right: a finger on the wrong side would be held there.
@@ -129,13 +130,15 @@ class FastFitter:
         return Problem(self.chain, seen, terms, shape, fixed, angle_bounds=angle_bounds)
 
     def camera_terms(self, count: int) -> tuple[Term, ...]:
-        """The terms of `count` frames, but for the pictures', while cameras are looked for."""
+        """The residual terms of `count` frames that are used while cameras are looked for, without those of
+        the pictures."""
         weight = 1.0 / min(count, SOLVER.shape_evidence)
         terms = (depth, self._limits, self._firm_prior, coupling)
         return (*terms, Shape(self._betas, self._length_rates, weight, measured=self._measured))
 
     def solve_each(self, problem: Problem, start: State, max_iterations: int | None = None) -> Solution:
-        """Solve independent frames in batches. `max_iterations`: None for `SOLVER`'s."""
+        """Solve independent frames in batches, starting from `start`. `max_iterations`: None for the number
+        in `SOLVER`."""
         most = SOLVER.max_iterations if max_iterations is None else max_iterations
         # Fingers that are made to touch or to grip have none of `pinned`.
         seen = problem.seen
@@ -151,8 +154,8 @@ class FastFitter:
     def solve_solid(
         self, seen: Observation, plain: Solution, times: Times | None = None, fixed: FixedJoints | None = None
     ) -> tuple[Observation, Solution]:
-        """The observation with its self-contact, and the solution in which parts do not pass through each
-        other.
+        """Fit once more so that parts of a hand do not pass through each other; returns the observation, with
+        the self-contact found in it, and the solution.
 
         `plain`: the solution without these terms, to start from. `times`: when the frames of a clip were
         seen; None: pictures are independent.
@@ -171,18 +174,19 @@ class FastFitter:
         return seen, plain.replaced(coupled, found)
 
     def solve_pictures(self, seen: Observation) -> tuple[Observation, Solution]:
-        """B pictures of hands solved independently, each with a shape of its own; the observation as
-        `solve_solid` gives it."""
+        """Solve B pictures of hands independently, each with a shape of its own. Returns the observation with
+        the self-contact found in it, and the solution."""
         return self.solve_solid(seen, self.solve_each(self.problem(seen, "each"), self.start(seen)))
 
     def _coupling_terms(self, seen: Observation) -> tuple[Interpenetration | OrdinalDepth | Contact, ...]:
-        """The terms that couple two parts of a hand."""
+        """The terms that couple two parts of a hand: interpenetration, order in depth, and contact."""
         ordinal = () if seen.self_contact is None else (self._ordinal_depth,)
         contact = () if seen.self_contact is None and seen.touches is None else (self._contact,)
         return (self._interpenetration, *ordinal, *contact)
 
     def solve_shape(self, seen: Observation) -> np.ndarray:
-        """(10,) betas of the one shape of all frames. Their poses are solved together with it and dropped."""
+        """Return the one shape of all frames, betas (10,). Their poses are solved together with it and
+        dropped."""
         alone = self.solve_each(self.problem(seen), self.start(seen)).state
         together = self.problem(seen, "one")
         return solve(
@@ -194,7 +198,8 @@ class FastFitter:
 def fitter_of(
     model: HandModel, hand_length: float | None = None, landmarks: Landmarks | None = None
 ) -> FastFitter:
-    """The fitter of a model, cached, so that an edit while the artist drags does not build it again."""
+    """Return the fitter of a model. It is cached, so that an edit while the artist drags does not build it
+    again."""
     return FastFitter(model, hand_length, landmarks)
 
 
@@ -207,10 +212,13 @@ def fit_track(
     should_stop: ShouldStop = never,
     hand_length: float | None = None,
 ) -> HandMotion:
-    """Fit a tracked hand: one shape, and motion as smooth as `smoothing` asks (0: each frame by itself).
+    """Fit a tracked hand with one shape for all frames, and motion as smooth as `smoothing` asks (0: each
+    frame by itself).
 
-    Gaps up to `max_gap_seconds` are filled. `should_stop` is asked after every `chunk_frames` frames;
-    those that were not reached are NaN. `hand_length`: see `FastFitter`."""
+    Gaps up to `max_gap_seconds` are filled. `should_stop` is asked after every `chunk_frames` frames; frames
+    that were not reached are NaN. `hand_length`: the expected metres from wrist joint to the tip of the
+    middle finger; None: those of the mean shape.
+    """
     fitter = fitter_of(model, hand_length, track.landmarks)
     seen = fitter.observe(track.detections, intrinsics)
     return fit_observed(smoothing, fitter, track, seen, on_frame, should_stop)
@@ -221,7 +229,7 @@ class Guess:
     """A first estimate of a clip's hand, and of its errors."""
 
     state: State
-    """N hands, roughly right, of the true shape"""
+    """N hands, roughly in the right pose, and of their true shape"""
     judged: Observation
     """N hands as one camera sees them, from which `doubt` estimates their errors"""
     error_factor: np.ndarray
@@ -237,7 +245,8 @@ def fit_observed(
     should_stop: ShouldStop = never,
     guess: Guess | None = None,
 ) -> HandMotion:
-    """Fit a tracked hand as `fit_track` does, to an observation (N) that was made of its detections."""
+    """Fit a tracked hand as `fit_track` does, but to an observation `seen` that was already made of its N
+    detections."""
     hands, found, count = track.detections, track.detections.frame, track.frame_count
     # A track's side is voted for by all of its frames.
     side_logit = side_logits(hands, fitter.model.side).mean()
@@ -281,7 +290,7 @@ def fit_observed(
 def _clip(
     fitter: FastFitter, seen: Observation, should_stop: ShouldStop, guess: Guess | None = None
 ) -> Solution:
-    """Fit every frame by itself, all with one shape; fewer when stopped."""
+    """Fit every frame by itself, all with one common shape; fewer frames when `should_stop` said so."""
     count = len(seen)
     betas = None
     if guess is None:
@@ -300,8 +309,8 @@ def _clip(
 
 
 def _motion_prior(smoothing: float, fps: float) -> MotionPrior:
-    """The motion prior of a clip at that rate: accelerations per frame, and how many frames two windows
-    share, which are more with stronger smoothing."""
+    """Return the motion prior of a clip of `fps` frames per second: expected accelerations per frame, and how
+    many frames two windows share, which are more with stronger smoothing."""
     per_frame = 1.0 / (max(smoothing, 1e-6) * fps**2)
     overlap = int(np.clip(MOTION.overlap_seconds * fps * np.sqrt(max(smoothing, 1.0)), 60, 400))
     return MotionPrior(
@@ -322,10 +331,10 @@ def smooth_track(
 ) -> tuple[np.ndarray, State]:
     """Interpolate the gaps of a track and smooth its motion, segment by segment.
 
-    Returns the numbers (F,) of the frames that have a hand, and their states. `found`: (N,) the detected
-    frames, of which `seen` and `state` have a row each; `cuts`: (N - 1,) bool between them. `fixed` has a row
-    for each frame of the clip. `before_each` is called before each segment, window and iteration, and may
-    raise to stop.
+    Returns the numbers (F,) of the frames that have a hand, and their states. `found`: (N,) numbers of the
+    detected frames, of each of which `seen` and `state` have one row; `cuts`: (N - 1,) bool, true where a cut
+    lies between two detections. `fixed` has a row for each frame of the clip. `before_each` is called before
+    each segment, window and iteration, and may raise to stop.
     """
     motion = _motion_prior(smoothing, fps)
     frames, states = [], []

@@ -19,7 +19,8 @@ from handfit_core.hand_model.chain import State
 
 
 def detect_cuts(pixels: np.ndarray) -> np.ndarray:
-    """(N - 1,) bool: true where there is a cut between consecutive detections (N, 21, 2) in pixels."""
+    """Tell between which consecutive detections, of keypoints at (N, 21, 2) pixels, there is a cut: (N - 1,)
+    bool."""
     size = np.maximum(np.ptp(pixels, axis=1).max(axis=1), 1e-9)
     # Only the palm, since a fist that opens within a frame is no other shot.
     spread = np.maximum(pixels[:, list(PALM_KEYPOINTS)].std(axis=1).max(axis=1), 1e-9)
@@ -30,32 +31,35 @@ def detect_cuts(pixels: np.ndarray) -> np.ndarray:
 
 
 def missing_between(found: np.ndarray, holes: Sequence[int]) -> np.ndarray:
-    """(N - 1,) bool: true where pictures are missing between consecutive detected frames (N,)."""
+    """Tell between which consecutive detected frames, by their numbers (N,), pictures of the source are
+    missing: (N - 1,) bool."""
     before = np.searchsorted(np.sort(np.asarray(holes, dtype=np.int64)), found)
     return np.diff(before) > 0
 
 
 @dataclass(frozen=True, eq=False)
 class Times:
-    """When the N detections of a track were made."""
+    """The frames and the shots in which the N detections of a track were made."""
 
     frames: np.ndarray
-    """(N,) int, rising"""
+    """(N,) int: the frame number of each detection, rising"""
     shots: np.ndarray
-    """(N,) int: the number of the shot that each one is in"""
+    """(N,) int: the number of the shot in which each detection lies"""
     fps: float
 
     @classmethod
     def between(cls, frames: np.ndarray, cuts: np.ndarray, fps: float) -> Times:
-        """From frame numbers (N,), rising, with `cuts` (N - 1,) bool between detections."""
+        """Make the times of detections from their frame numbers (N,), rising, and `cuts` (N - 1,) bool, which
+        are true where a cut lies between two of them."""
         return cls(frames, np.append(0, np.cumsum(cuts)), fps)
 
     def radius(self, seconds: float) -> int:
-        """So many seconds in frames, but no more than from the first detection to the last."""
+        """Return that many seconds as a number of frames, no larger than from the first detection to the
+        last."""
         return min(round(seconds * self.fps), int(self.frames[-1] - self.frames[0]))
 
     def mean(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """(N, n) weighted means of values (N, n) over the neighbouring frames in the same shot.
+        """Return weighted means (N, n) of values (N, n) over the neighbouring frames in the same shot.
 
         `weights` (2 r + 1,) are those of the frames from r before to r after.
         """
@@ -69,10 +73,11 @@ class Times:
 
 
 def segments(found: np.ndarray, fps: float, cut: np.ndarray | None = None) -> list[np.ndarray]:
-    """Consecutive frame numbers of each segment: it runs from one detected frame to another without a cut,
-    and without a gap that is longer than max_gap_seconds.
+    """Split a track into segments, and return the consecutive frame numbers of each. A segment runs from one
+    detected frame to another without a cut, and without a gap that is longer than `max_gap_seconds`.
 
-    `found`: (N,) the detected frames, rising. `cut`: (N - 1,) bool between them; None: there are none.
+    `found`: (N,) the numbers of detected frames, rising. `cut`: (N - 1,) bool, true where a cut lies between
+    two of them; None: there are none.
     """
     longest = int(MOTION.max_gap_seconds * fps)
     broken = np.diff(found) - 1 > longest
@@ -81,9 +86,11 @@ def segments(found: np.ndarray, fps: float, cut: np.ndarray | None = None) -> li
 
 
 def interpolate_gaps(state: State, known: np.ndarray) -> State:
-    """States of a segment's T frames, interpolated between those of its known ones (T,) bool.
+    """Return the states of a segment's T frames, with those that `known` (T,) bool does not mark interpolated
+    between the others.
 
-    The first and the last frame are known. Rotations turn evenly from one known frame to the next (slerp).
+    The first and the last frame must be known. Rotations turn evenly from one known frame to the next
+    (slerp).
     """
     if known.all():
         return state

@@ -1,4 +1,4 @@
-"""What hands hold: a prop where each hand has it, and the points of the hand that may meet it."""
+"""A hand's grip: the prop where each hand holds it, and the points of the hand that may meet it."""
 
 from __future__ import annotations
 
@@ -15,16 +15,18 @@ from handfit_core.hand_model.landmarks import bone_axes
 from handfit_core.hand_model.surface import FINGER_OF_BONE, LEVEL_OF_BONE, NUM_BONES, Surface
 
 LEVELS: Final = 2
-"""Pads of a finger that are drawn to a prop: those of its middle and last bones, 2 f and 2 f + 1"""
+"""Number of a finger's pads that are drawn to a prop: finger f has number 2 f, of its middle bone, and 2 f +
+1, of its last"""
 _ALONG: Final = np.array([0.0, 0.35, 0.7, 1.0])
-"""Where on a bone its spheres lie"""
+"""Where along a bone the centres of its four spheres lie, from 0 at its beginning to 1 at its end"""
 
 
 class GripPoints:
-    """S points of a hand with the fingers (S,) that they belong to, and what follows from them.
+    """S points of a hand, each of which belongs to the finger that `finger` (S,) says.
 
-    `follows`: (S, 3) the share in which each goes along with its finger's joints. `pad`: (S,) the pad that it
-    is part of; -1: none. `palm`: (S,) bool.
+    `follows`: (S, 3) the share, 0..1, in which a point goes along with each of its finger's three joints.
+    `pad`: (S,) the number of the pad that a point is part of; -1: none. `palm`: (S,) bool, true for points of
+    the palm.
     """
 
     def __init__(
@@ -34,7 +36,8 @@ class GripPoints:
         self.pad = np.where(on_pad & np.isin(level, (1, 2)), LEVELS * finger + level - 1, -1)
 
     def places(self, posed: Posed) -> tuple[np.ndarray, np.ndarray]:
-        """(B, S, 3) metres, camera frame, and the thickness (B, S) of the flesh around them."""
+        """Return where the points of B posed hands are, (B, S, 3) metres in the camera frame, and the
+        thickness (B, S) in metres of the flesh around them."""
         raise NotImplementedError
 
 
@@ -50,14 +53,15 @@ class Spheres(GripPoints):
         self._surface, self._share = surface, np.stack([1.0 - _ALONG, _ALONG])
 
     def places(self, posed: Posed) -> tuple[np.ndarray, np.ndarray]:
-        """The spheres' centres, and their radii."""
+        """Return the spheres' centres (B, S, 3) and their radii (B, S), in metres, camera frame."""
         capsules, size = self._surface.capsules(posed), NUM_BONES * len(_ALONG)
         centres = (capsules.ends.swapaxes(2, 3) @ self._share).swapaxes(2, 3).reshape(-1, size, 3)
         return centres, (capsules.radii @ self._share).reshape(-1, size)
 
 
 class SkinVertices(GripPoints):
-    """Vertices (S,) of the skin itself, by linear blend skinning. The hands must be of one shape."""
+    """S vertices of the skin itself, moved by linear blend skinning. All hands of a batch must be of one
+    shape."""
 
     def __init__(self, chain: Chain, vertices: np.ndarray) -> None:
         model, axes = chain.model, bone_axes(chain.model)
@@ -73,7 +77,7 @@ class SkinVertices(GripPoints):
         self._chain, self._vertices = chain, vertices
 
     def places(self, posed: Posed) -> tuple[np.ndarray, np.ndarray]:
-        """The vertices, around which there is nothing."""
+        """Return the vertices (B, S, 3) in metres, camera frame, and zeros, as no flesh is around them."""
         betas, *pose = self._chain.parameters(posed.state)
         places = self._chain.model.skinned(self._vertices, betas[0], *pose)[0]
         return places, np.zeros(places.shape[:2])
@@ -81,24 +85,24 @@ class SkinVertices(GripPoints):
 
 @dataclass(frozen=True, eq=False)
 class Grip(Batch):
-    """The prop that B hands hold."""
+    """The prop that B hands hold, where it is, and what is drawn to it."""
 
     surface: PropSurface
     points: GripPoints
     turn: np.ndarray
-    """(B, 3, 3)"""
+    """(B, 3, 3) rotations that turn the prop into the camera frame: x = turn p + place"""
     place: np.ndarray
-    """(B, 3) metres: x = turn p + place takes the prop into the camera frame"""
+    """(B, 3) metres: where the prop's origin lies in the camera frame, as in x = turn p + place"""
     drawn: np.ndarray
-    """(B, 10) how firmly each pad is drawn to the prop, 0..1"""
+    """(B, 10) how firmly each of the ten pads is drawn to the prop, 0..1"""
     captured: State
-    """Where the wrists were"""
+    """The B hands as they were before they grip"""
     within: float
-    """metres beyond which points do not count"""
+    """metres from the prop beyond which points of the hand do not count"""
 
     def gaps(self, posed: Posed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The points (B, S, 3), their skins' distances (B, S) from the prop, and the ways out of it
-        (B, S, 3)."""
+        """Return the points of B posed hands (B, S, 3) in metres, the distances (B, S) of their skins from
+        the prop, negative inside it, and unit vectors (B, S, 3) that lead out of it."""
         places, thickness = self.points.places(posed)
         seen_from = (places - self.place[:, None]) @ self.turn
         gaps, out = self.surface.gaps(seen_from.reshape(-1, 3), self.within)

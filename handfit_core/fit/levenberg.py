@@ -1,4 +1,5 @@
-"""Levenberg-Marquardt over a batch of problems, each with its own damping and its own end. NumPy."""
+"""Levenberg-Marquardt over a batch of problems, each of which has its own damping and ends by itself.
+NumPy."""
 
 from __future__ import annotations
 
@@ -12,33 +13,35 @@ from handfit_core.fit.solution import Solution, Status
 
 _RUNNING = -1
 S = TypeVar("S", bound=Any)
-"""A `Batch` of states, whose method `moved` takes the increments of a step"""
+"""The type of a `Batch` of states, whose method `moved` takes the increments of a step"""
 
 
 class LeastSquares(Batch):
-    """B least-squares problems: of hands, of a clip's frames, of arms, of a character's fingers."""
+    """B least-squares problems, be they fits of hands, of a clip's frames, of arms or of a character's
+    fingers."""
 
     @property
     def together(self) -> bool:
-        """True if the rows share variables, so that they are one problem, which stops as a whole."""
+        """True if the problems share variables, so that they are one problem, which stops as a whole."""
         return False
 
     def blocks(self, state: Any) -> Any:
-        """The normal equations at `state`, with their `cost` (B,): a `Batch`, unless they are one problem."""
+        """Return the normal equations at `state`, with their `cost` (B,): a `Batch`, unless all rows are one
+        problem."""
         raise NotImplementedError
 
     def step(self, state: Any, blocks: Any, damping: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-        """The increments that `state.moved` takes, under damping (B,) relative to the diagonals, and by how
-        much they decrease the costs (B,) at least if the residuals are linear."""
+        """Return the increments that `state.moved` takes, under damping (B,) relative to the matrix
+        diagonals, and by how much they decrease the costs (B,) at least if the residuals are linear."""
         raise NotImplementedError
 
 
 class CoupledFrames(LeastSquares):
-    """The problem of consecutive frames, which acceleration couples."""
+    """The problem of consecutive frames that their accelerations couple, so that it is one problem."""
 
     @property
     def together(self) -> bool:
-        """True."""
+        """True, as acceleration couples the frames."""
         return True
 
 
@@ -52,12 +55,13 @@ def solve(
     min_gain: float | None = None,
     first_damping: float | None = None,
 ) -> Solution[S]:
-    """Minimise the cost of B problems from `start` (B). `first_damping`: None for `SOLVER`'s.
+    """Minimise the cost of B problems from `start` (B). `first_damping`: None for that of the settings,
+    `SOLVER`.
 
     A problem ends when its next step is predicted to decrease the cost by no more than `tolerance` times the
     cost; that step is not tried. It also ends after a step that decreased it by less than `min_gain` times
-    the cost, None for `SOLVER.min_gain_of_tolerance` times the tolerance. A problem whose cost
-    is not finite at the start ends at once, with the status `NO_NUMBERS`.
+    the cost, None for `SOLVER.min_gain_of_tolerance` times the tolerance. A problem whose cost is not finite
+    at the start ends at once, with the status `NO_NUMBERS`.
     """
     together = problem.together
     min_gain = SOLVER.min_gain_of_tolerance * tolerance if min_gain is None else min_gain
@@ -70,7 +74,7 @@ def solve(
     finished: list[tuple[np.ndarray, Solution]] = []
 
     def pack(left: np.ndarray) -> None:
-        """Store the finished problems, and continue with those that are `left` (B,) bool."""
+        """Store the problems that have finished, and continue with those that `left` (B,) bool marks."""
         nonlocal problem, blocks, state, index, damping, iterations, status
         done = ~left
         solution = Solution(state.select(done), blocks.cost[done], iterations[done], status[done])

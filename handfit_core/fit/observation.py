@@ -1,4 +1,4 @@
-"""What a hand is fitted to: corrected landmarks with their expected errors, as seen through a camera."""
+"""The input of a fit: corrected landmarks with their expected errors, as seen through a camera."""
 
 from __future__ import annotations
 
@@ -16,20 +16,19 @@ from handfit_core.hand_model.chain import State
 @dataclass(frozen=True, eq=False)
 class PoseAnchor(Batch):
     """Poses that B hands are to stay near, and how firmly; an infinite sigma keeps nothing. Joints that are
-    fixed are in `problem.FixedJoints`."""
+    fixed altogether are in `problem.FixedJoints`."""
 
     wrist: np.ndarray
     """(B, 3) metres, camera frame, of which only the distance from the camera counts"""
     distance_sigma: np.ndarray
-    """(B,) relative to that distance"""
+    """(B,) standard deviations of the wrist's distance from the camera, as parts of that distance"""
     angles: np.ndarray
-    """(B, 5, 9) radians, finger by finger"""
+    """(B, 5, 9) radians: the angles to stay near, nine for each finger, thumb first"""
     angle_sigma: np.ndarray
-    """(B, 5) radians"""
+    """(B, 5) radians: the standard deviation of each finger's angles"""
     limits_sigma: np.ndarray
-    """(B,) radians beyond a joint's passive range (`passive_range`), or beyond the kept angles
-    where these go further, that cost as much as one sigma; NaN: limits are those of hands without an
-    anchor"""
+    """(B,) radians beyond a joint's passive range (`passive_range`), or beyond the kept angles where these go
+    further, that cost as much as one sigma; NaN: this hand's limits are those of hands without an anchor"""
 
     @classmethod
     def at(
@@ -39,7 +38,8 @@ class PoseAnchor(Batch):
         angle_sigma: float | np.ndarray = np.inf,
         limits_sigma: float | np.ndarray = np.nan,
     ) -> PoseAnchor:
-        """The poses of B hands; sigmas are as above, or one for all."""
+        """Return anchors at the poses of B hands; each sigma is one number for all hands, or an array shaped
+        like the field of that name."""
         count = len(state)
         distance, limits = (np.broadcast_to(sigma, count) for sigma in (distance_sigma, limits_sigma))
         return cls(state.wrist, distance, state.angles, np.broadcast_to(angle_sigma, (count, 5)), limits)
@@ -69,21 +69,22 @@ class SecondView(Batch):
     metres."""
 
     rotation: np.ndarray
-    """(B, 3, 3)"""
+    """(B, 3, 3) rotations from the first camera's frame to the second one's"""
     translation: np.ndarray
-    """(B, 3)"""
+    """(B, 3) metres: the translation from the first camera's frame to the second one's"""
     pixels: np.ndarray
-    """(B, 21, 2)"""
+    """(B, 21, 2) pixels at which the second camera saw the 21 landmarks"""
     pixel_sigma: np.ndarray
-    """(B, 21, 2); infinite where it saw nothing"""
+    """(B, 21, 2) pixels: expected errors of these landmarks; infinite where the second camera saw nothing"""
     focal: np.ndarray
-    """(B, 2)"""
+    """(B, 2) pixels: the second camera's focal lengths"""
     centre: np.ndarray
-    """(B, 2)"""
+    """(B, 2) pixels: the second camera's principal point"""
 
     @classmethod
     def through(cls, camera: PlacedCamera, pixels: np.ndarray, pixel_sigma: np.ndarray) -> SecondView:
-        """What that camera saw of B hands; NaN pixels are of points that it did not see."""
+        """Return the view of B hands through that camera, of landmarks at `pixels` (B, 21, 2) with expected
+        errors `pixel_sigma`; NaN pixels are of points that it did not see."""
         count, lens = len(pixels), camera.intrinsics
         known = np.isfinite(pixels) & np.isfinite(pixel_sigma)
         return cls(
@@ -97,37 +98,40 @@ class SecondView(Batch):
 
     @property
     def saw(self) -> np.ndarray:
-        """(B,) bool: hands that it saw."""
+        """(B,) bool: true for hands of which the second camera saw a landmark."""
         return np.asarray(np.isfinite(self.pixel_sigma).any(axis=(1, 2)))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Observation(Landmarked):
-    """Landmarks of B pictures of one model's hand, seen through a camera. Pixels, camera frame; depth is in
-    pixels at the hand's distance."""
+    """Landmarks of B pictures of one model's hand, seen through a camera: their places in pixels, and their
+    depth in pixels at the hand's distance, along the line of sight of the camera frame."""
 
     ray: np.ndarray
-    """(B, 3) unit line of sight"""
+    """(B, 3) unit vectors in the camera frame along the line of sight to each hand"""
     focal: np.ndarray
-    """(B, 2) pixels"""
+    """(B, 2) focal lengths of the camera in pixels"""
     centre: np.ndarray
-    """(B, 2) pixels"""
+    """(B, 2) the camera's principal point in pixels"""
     depth_zero: np.ndarray | None = None
-    """(B,) metres along the line of sight where depth is zero, NaN where not known; None: known of none"""
+    """(B,) metres along the line of sight at which the observed depth is zero, NaN where that is not known;
+    None where it is known of no hand"""
     anchor: PoseAnchor | None = None
     """Poses that the hands are to stay near; None: there are none"""
     self_contact: SelfContact | None = None
-    """Which parts cross and touch; None: not looked for"""
+    """The self-contact of the hands: which parts cross and touch; None where it was not looked for"""
     second: SecondView | None = None
-    """What a second camera saw; None: there is none"""
+    """The landmarks that a second camera saw of these hands; None where there is no second camera"""
     touches: np.ndarray | None = None
-    """(B, 21) the keypoint that each one is to touch, 0 being the palm; NaN, or None: none"""
+    """(B, 21) the number of the keypoint that each keypoint is to touch, 0 being the palm; NaN where it
+    touches none; None where no hand has any"""
     grip: Grip | None = None
-    """The prop that they are to hold; None: none"""
+    """The prop that the hands are to hold; None where they hold none"""
 
 
 def lines_of_sight(pixels: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
-    """(B, 3) unit vectors, camera frame, towards the means of points (B, 21, 2) in pixels."""
+    """Return unit vectors (B, 3) in the camera frame that point towards the means of points (B, 21, 2) in
+    pixels."""
     rays = intrinsics.rays(pixels.mean(axis=1))
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
@@ -135,7 +139,8 @@ def lines_of_sight(pixels: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
 def observation_of(
     seen: Landmarked, intrinsics: Intrinsics, depth_zero: np.ndarray | None = None
 ) -> Observation:
-    """Landmarks of B hands as seen through a camera, whose depth is zero at `depth_zero` (B,) metres."""
+    """Make the observation of B hands from their landmarks, as seen through a camera; observed depth is zero
+    at `depth_zero` (B,) metres."""
     rays = lines_of_sight(seen.pixels, intrinsics)
     focal, centre = (intrinsics.fx, intrinsics.fy), (intrinsics.cx, intrinsics.cy)
     return Observation(

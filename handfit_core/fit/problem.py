@@ -1,4 +1,4 @@
-"""The least-squares problem: a hand model, what is observed of its hands, and the residual terms."""
+"""The least-squares problem of a fit: a hand model, the observation of its hands, and the residual terms."""
 
 from __future__ import annotations
 
@@ -22,22 +22,24 @@ SharedShape = Literal["given", "each", "one"]
 
 @dataclass(frozen=True, eq=False)
 class FixedJoints(Batch):
-    """Joints of B hands that are no variables, and the state they are fixed at."""
+    """Joints of B hands that are no variables of the fit, and the state that they are fixed at."""
 
     joints: np.ndarray
-    """(B, 16) bool in MANO's order; 0 holds the wrist's rotation and its place"""
+    """(B, 16) bool in MANO's order, true for fixed joints; joint 0 holds the wrist's rotation and its
+    place"""
     state: State
-    """B hands; only the fixed joints of it count"""
+    """The B hands whose joints are kept where fixed; their other joints do not count"""
 
     @cached_property
     def variables(self) -> np.ndarray:
-        """(B, 51) bool: root (3), angles finger by finger (45), place (3), as `clips` orders them."""
+        """(B, 51) bool: true for fixed variables, in the order of `clips`: root (3), angles finger by finger
+        (45), place (3)."""
         wrist = self.joints[:, :1].repeat(3, axis=1)
         fingers = self.joints[:, JOINTS_BY_FINGER.reshape(-1)].repeat(3, axis=1)
         return np.concatenate([wrist, fingers, wrist], axis=1)
 
     def put(self, state: State) -> State:
-        """`state`, with the fixed joints replaced by theirs."""
+        """Return `state` with the fixed joints replaced by those that they are fixed at."""
         wrist, fingers = self.joints[:, :1], self.variables[:, 3:48].reshape(-1, 5, 9)
         return replace(
             state,
@@ -49,21 +51,24 @@ class FixedJoints(Batch):
 
 @dataclass(frozen=True, eq=False)
 class Problem(LeastSquares):
-    """The fit of B hands."""
+    """The least-squares problem of fitting B hands to what is observed of them."""
 
     chain: Chain
     seen: Observation
     terms: tuple[Term, ...]
     shape: SharedShape = "given"
-    """Betas are given constants, variables of each hand, or one set of variables for all hands"""
+    """The part of the shape in the fit: "given": betas are constants; "each": variables of each hand; "one":
+    one set of variables for all hands"""
     fixed: FixedJoints | None = None
-    """Joints that are no variables; None: all are variables"""
+    """Joints that are no variables of the fit; None where all are variables"""
     angle_bounds: tuple[np.ndarray, np.ndarray] | None = None
-    """(5, 9) and (5, 9) radians between which steps keep the angles: joint limits are so steep that a step,
-    which only knows those that are exceeded already, would overshoot them. None: unbounded"""
+    """The least and the greatest angles, (5, 9) radians each, between which steps keep the fingers: joint
+    limits are so steep that a step, which only knows those that are exceeded already, would overshoot them.
+    None: unbounded"""
 
     def clip_to_bounds(self, state: State, of_fingers: np.ndarray) -> np.ndarray:
-        """Increments of angles (B, 5, 9), clipped to the bounds; angles beyond these go no farther."""
+        """Clip increments (B, 5, 9) of angles, in radians, to the bounds; angles that lie beyond them already
+        go no farther."""
         if self.angle_bounds is None:
             return of_fingers
         least, most = self.angle_bounds
@@ -73,19 +78,20 @@ class Problem(LeastSquares):
 
     @property
     def together(self) -> bool:
-        """True if all hands have one shape."""
+        """True if all hands have one shape, so that they are one problem."""
         return self.shape == "one"
 
     def step(
         self, state: State, blocks: Blocks, damping: np.ndarray
     ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-        """Increments (B, n) and (B, 5, 9) as `State.moved` takes them, and the predicted decrease (B,)."""
+        """Return increments (B, n) of the hands' variables and (B, 5, 9) of their angles, as `State.moved`
+        takes them, and the predicted decrease (B,) of the costs."""
         of_hand, of_fingers = blocks.step(damping, shared_shape=self.together)
         step = of_hand, self.clip_to_bounds(state, of_fingers)
         return step, blocks.predicted_decrease(*step)
 
     def blocks(self, state: State) -> Blocks:
-        """Cost and Gauss-Newton matrices of B hands, each by itself."""
+        """Return the cost and the Gauss-Newton matrices of B hands, each by itself."""
         posed = self.chain.pose(state)
         free = self.shape != "given"
         columns: dict[Group, list[np.ndarray]] = {POINTS: [], FINGERS: [], HAND: []}
@@ -155,7 +161,8 @@ class Problem(LeastSquares):
 
 
 def _widened(rows: np.ndarray, size: int) -> np.ndarray:
-    """Columns (..., n + 1) with zeros before the residual, so that derivatives by `size` variables result."""
+    """Insert zeros before the residual, the last of columns (..., n + 1), so that there are derivatives by
+    `size` variables."""
     missing = size + 1 - rows.shape[-1]
     if missing == 0:
         return rows
@@ -164,8 +171,8 @@ def _widened(rows: np.ndarray, size: int) -> np.ndarray:
 
 
 def _paired(pairs: list[PairRows], batch: int) -> np.ndarray:
-    """(B, 48, 49) Gauss-Newton matrices of pair rows, by all angles (45) and the root's turn (3), with their
-    gradients as the last column."""
+    """Sum the rows that couple two fingers into (B, 48, 49) Gauss-Newton matrices: 45 angles and the root's
+    turn, with the gradient as the last column."""
     rows = PairRows.concatenate(pairs)
     hand, columns = rows.hand, rows.columns
     of_fingers = (9 * rows.fingers[..., None] + np.arange(9)).reshape(-1, 18)

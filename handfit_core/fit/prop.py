@@ -1,4 +1,5 @@
-"""An object that a hand holds, as triangles: how far away its surface is, and which way is out of it."""
+"""The surface of an object that a hand holds, as triangles: how far away it is, and which way is out of
+it."""
 
 from __future__ import annotations
 
@@ -10,20 +11,24 @@ from handfit_core.common.errors import OptionError
 from handfit_core.hand_model.surface import cross
 
 _LONGEST_SIDE: Final = 0.006
-"""metres: longer sides are halved, so that the nearest triangle has one of the nearest centres"""
+"""metres: longer sides of triangles are halved, so that the triangle nearest to a point is among those with
+the nearest centres"""
 _CANDIDATES: Final = 6
-"""Triangles with the nearest centres, among which the nearest one is"""
+"""How many triangles with the nearest centres are searched for the one that is nearest to a point"""
 _MOST_TWICE: Final = 0.01
-"""Share of edges that two faces follow in the same direction from which faces point both ways"""
+"""Share of edges that two faces follow in one direction, beyond which the faces of a mesh do not agree on
+which side is outside"""
 _SAMPLED_FACES, _SAMPLED_FIELD = 32, 4000
-"""Faces that are asked which side of them is inside, and faces that answer"""
+"""How many faces are tested for which of their sides is inside, and of how many faces the winding number is
+summed for that"""
 _CERTAIN_WINDING, _CERTAIN_SHARE = 0.1, 0.9
 """Mean winding number of both sides of a face, 0.5 in closed meshes, from which the inside is certain, and
 the share of faces where it must be"""
 
 
 def outward(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Corners (F, 3, 3) of the triangles (F, 3) of vertices (V, 3), counter-clockwise seen from outside.
+    """Return the corners (F, 3, 3) of the triangles (F, 3) of vertices (V, 3), in their unit,
+    counter-clockwise seen from outside.
 
     The inside is where the generalized winding number (Jacobson et al. 2013) is above one half, so that a cup
     without a bottom has one. Raises OptionError where it cannot be determined.
@@ -56,7 +61,8 @@ def outward(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 class PropSurface:
-    """The triangles of a prop that lie in the box between `low` (3,) and `high` (3,), in metres."""
+    """The triangles of a prop that lie in the box between the corners `low` (3,) and `high` (3,), in
+    metres."""
 
     def __init__(self, corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
         from scipy.spatial import KDTree
@@ -84,8 +90,8 @@ class PropSurface:
         return len(self._corners)
 
     def gaps(self, points: np.ndarray, within: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
-        """Signed distances (N,) in metres of points (N, 3), negative inside the prop and infinite beyond
-        `within`, and their gradients (N, 3), unit vectors."""
+        """Return signed distances (N,) in metres of points (N, 3) from the prop, negative inside it and
+        infinite beyond `within`, and their gradients (N, 3), unit vectors."""
         near = self._tree.query(points, k=_CANDIDATES, distance_upper_bound=within + self._longest)[1]
         near = np.asarray(near)
         found = np.flatnonzero(near[:, 0] < len(self))
@@ -111,7 +117,8 @@ def _in_box(corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarra
 
 
 def _nearest_in(corners: np.ndarray, normals: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """The places (..., 3) in triangles (..., 3, 3) with unit normals (..., 3) that are nearest to points."""
+    """Return the places (..., 3) in triangles (..., 3, 3) with unit normals (..., 3) that are nearest to
+    `points` (..., 3)."""
     sides = np.roll(corners, -1, axis=-2) - corners
     off = points[..., None, :] - corners
     squared = np.maximum((sides * sides).sum(axis=-1), 1e-30)

@@ -1,4 +1,4 @@
-"""What one of two views detected of a hand over time, and what it adds to the other view's observation."""
+"""A view's detections of a hand over time, and their part in the observation of another view."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class SeenOverTime(Batch):
     """The landmarks of a hand in the N frames of a view in which it was detected."""
 
     times: np.ndarray
-    """(N,) seconds, increasing"""
+    """(N,) seconds, increasing: when each detection was made"""
     seen: Landmarked
-    """N hands, pixels"""
+    """The landmarks of the N detections, in pixels of the view"""
     fps: float
-    """of the view"""
+    """Frames per second of the view"""
 
     @cached_property
     def extent(self) -> float:
@@ -31,7 +31,7 @@ class SeenOverTime(Batch):
         return float(np.median(np.ptp(self.seen.pixels, axis=1).max(axis=1)))
 
     def seen_at(self, times: np.ndarray) -> np.ndarray:
-        """(M,) bool: true where there is a detection near those times (M,), in seconds."""
+        """Tell at which of the times (M,), in seconds, there is a detection near: (M,) bool."""
         after = np.clip(np.searchsorted(self.times, times), 0, len(self.times) - 1)
         before = np.maximum(after - 1, 0)
         away = np.minimum(np.abs(self.times[after] - times), np.abs(self.times[before] - times))
@@ -40,13 +40,14 @@ class SeenOverTime(Batch):
 
     @cached_property
     def _course(self):
-        """Cubic splines of the pixels."""
+        """Cubic splines over time through the pixels of the landmarks."""
         from scipy.interpolate import CubicSpline  # slow to load
 
         return CubicSpline(self.times, self.seen.pixels, axis=0)
 
     def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels (M, 21, 2) and their speed (M, 21, 2) per second, at times (M,)."""
+        """Return the landmarks (M, 21, 2) in pixels, and their speeds (M, 21, 2) in pixels per second, at
+        times (M,) in seconds."""
         times = np.clip(times, self.times[0], self.times[-1])
         if len(self) == 1:
             pixels = self.seen.pixels[np.zeros(len(times), dtype=int)]
@@ -54,7 +55,7 @@ class SeenOverTime(Batch):
         return self._course(times), self._course(times, 1)
 
     def nearest(self, times: np.ndarray) -> np.ndarray:
-        """(M,) rows that are nearest to those times (M,)."""
+        """Return the indices (M,) of the detections that are nearest to the times (M,), in seconds."""
         return np.round(np.interp(times, self.times, np.arange(len(self.times)))).astype(int)
 
     @cached_property
@@ -70,15 +71,16 @@ class SeenOverTime(Batch):
         return self.sigma * np.maximum(own, 1.0)
 
     def sigmas_at(self, times: np.ndarray) -> np.ndarray:
-        """(M, 21, 2) `sigmas` at times (M,), infinite where there is no detection near."""
+        """Return `sigmas` (M, 21, 2), in pixels, at the times (M,) in seconds; infinite where there is no
+        detection near."""
         return np.where(self.seen_at(times)[:, None, None], self.sigmas[self.nearest(times)], np.inf)
 
     def in_second_view(
         self, plain: Observation, sigmas: np.ndarray, moments: np.ndarray, camera: PlacedCamera
     ) -> Observation:
-        """The observation `plain` of M hands by the first view, to which what this one saw through `camera`
-        at `moments` (M,) is added. Where both see the hand, points count with the first view's `sigmas`
-        (M, 21, 2), and depth less."""
+        """Add to the first view's observation `plain` of M hands what this view saw of them through `camera`
+        at `moments` (M,), in seconds. Where both views see the hand, points count with the first view's
+        `sigmas` (M, 21, 2), in pixels, and depth counts less."""
         saw, (pixels, _) = self.seen_at(moments)[:, None], self.at(moments)
         return replace(
             plain,

@@ -1,4 +1,5 @@
-"""Self-contact, as landmarks show it: which of two parts is in front where they cross, and which touch."""
+"""Self-contact of hands as their landmarks show it: which of two parts is in front where they cross, and
+which touch."""
 
 from __future__ import annotations
 
@@ -18,28 +19,30 @@ from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.surface import Surface
 
 PINCH_BONES: Final = np.array([(2, b) for b in (5, 8, 11, 14)])
-"""(P, 2) last bones of thumb and finger, as `Surface` numbers bones"""
+"""(P, 2) the last bones of the thumb and of each other finger, whose tips can pinch, as `Surface` numbers
+bones"""
 
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """When parts of a hand are taken to lie over each other, or to touch."""
+    """Settings of when parts of a hand are taken to lie over each other, or to touch."""
 
     vote_seconds: float = 0.12
     """seconds: standard deviation of the weights with which neighbouring frames vote on the order"""
     min_order_sigmas: float = 0.3
-    """Depth difference in expected errors of both depths below which no order is given"""
+    """Depth difference of crossing parts, in expected errors of both depths, below which no order is given"""
     pinch_distance: tuple[float, float] = (0.10, 0.13)
     """Distance of two tips in the picture, in parts of the hand's size, up to which they touch, and from
     which they do not"""
     pinch_depth_sigmas: tuple[float, float] = (2.0, 3.0)
-    """Distance of two tips along the line of sight, in expected errors of both depths, with the same two
-    bounds"""
+    """Distances of two tips along the line of sight, in expected errors of both depths, up to which they
+    touch, and from which they do not"""
     gap: tuple[float, float] = (0.10, 0.20)
     """Gap between the skins of the thumb and of what it crosses, along the line of sight, in parts of the
     hand's size, up to which they are in contact, and from which they are not"""
     gap_sigmas: tuple[float, float] = (1.5, 2.0)
-    """Gap between these skins in expected errors of both depths, with the two bounds of `gap`"""
+    """Gaps between the thumb's skin and that of what it crosses, in expected errors of both depths, up to
+    which they are in contact, and from which they are not"""
     lifted_gap: float = 0.15
     """Gap of the thumb to a bent finger, in parts of the hand's size, beyond which the thumb is likely seen
     wrongly"""
@@ -53,7 +56,7 @@ CONTACT: Final = ContactSettings()
 def find_self_contact(
     surface: Surface, seen: Observation, state: State, times: Times | None = None
 ) -> SelfContact:
-    """The self-contact of B observed hands, whose approximate poses are `state`.
+    """Find the self-contact of B observed hands, whose approximate poses are `state`.
 
     `times`: when the frames of a clip were seen, whose neighbours then vote; None: pictures are independent.
     """
@@ -71,7 +74,8 @@ def find_self_contact(
 
 
 def _per_frame(surface: Surface, seen: Observation, state: State) -> SelfContact:
-    """Per-frame contact evidence. `front`: signed depth order of each pair, in sigmas."""
+    """Find the self-contact of each frame by itself. Here `front` is the signed depth order of each pair, in
+    sigmas."""
     size = np.maximum(np.ptp(seen.pixels, axis=1).max(axis=1), 1e-9)
     crossing = Crossing.of(seen.pixels)
     along, across = crossing.along, crossing.across
@@ -108,6 +112,6 @@ def _per_frame(surface: Surface, seen: Observation, state: State) -> SelfContact
 
 
 def _falling(value: np.ndarray, range_: tuple[float, float]) -> np.ndarray:
-    """1 up to the first bound, 0 from the second on, linear between."""
+    """Return 1 up to the first bound of `range_`, 0 from the second on, and linear values between."""
     first, second = range_
     return np.clip((second - value) / (second - first), 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Where a solver stopped, and why."""
+"""The end of a solver's run: where it stopped, and why."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ S = TypeVar("S", bound=Batch)
 
 
 class Status(IntEnum):
-    """Why a problem ended."""
+    """The reason why a problem's iterations ended."""
 
     CONVERGED = 0
     """The next step was predicted to gain almost nothing, or the last one gained almost nothing"""
@@ -28,17 +28,18 @@ class Status(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Solution(Batch, Generic[S]):
-    """Where B problems ended."""
+    """The states in which B problems ended, with their costs and the reasons."""
 
     state: S
     cost: np.ndarray
-    """(B,) sum over all terms, squared sigmas"""
+    """(B,) the cost of each problem, summed over all terms, in squared sigmas"""
     iterations: np.ndarray
-    """(B,) int: steps tried"""
+    """(B,) int: how many steps were tried for each problem"""
     status: np.ndarray
-    """(B,) int, values of `Status`"""
+    """(B,) int: why each problem ended, as values of `Status`"""
 
     @property
     def converged(self) -> np.ndarray:
-        """(B,) bool: at a minimum, to within the tolerance or numerical precision."""
+        """(B,) bool: true for problems that ended at a minimum, to within the tolerance or numerical
+        precision."""
         return self.status <= Status.STUCK

@@ -20,22 +20,24 @@ from handfit_core.hand_model.motion import HandMotion
 
 USUAL_SMOOTHING: Final = 1.0
 MOST_SMOOTHING: Final = 10.0
-"""Strengths of smoothing; 0 takes every frame by itself"""
+"""The strongest smoothing that may be asked for, where 0 takes every frame by itself"""
 
 OnFrame = Callable[[], None]
-"""Called once for every frame that is done; may raise to end the run with nothing."""
+"""A function that is called once for every frame that is done, and may raise to end the run without a
+result."""
 
 ShouldStop = Callable[[], bool]
-"""Asked between frames, or groups of them; True: return what is fitted so far, at least one frame"""
+"""A function that is asked between frames, or groups of them, whether to stop: when it returns True, what is
+fitted so far, at least one frame, is returned"""
 
 
 def never() -> bool:
-    """The `ShouldStop` of those who want everything."""
+    """Return False: the `ShouldStop` of callers who want the whole fit."""
     return False
 
 
 class TrackSolver(Protocol):
-    """Fits one hand model to one detected track, seen through one camera."""
+    """A function that fits one hand model to one detected track, seen through one camera."""
 
     def __call__(
         self,
@@ -45,30 +47,31 @@ class TrackSolver(Protocol):
         on_frame: OnFrame,
         should_stop: ShouldStop = never,
     ) -> HandMotion:
-        """Fit; calls `on_frame` once for every detected frame that was fitted. What is neither detected nor
-        filled, and what was not reached when it was stopped, is NaN."""
+        """Fit the track's hand, and call `on_frame` once for every detected frame that was fitted. Frames
+        that are neither detected nor filled, and those not reached when the fit was stopped, are NaN."""
         ...
 
 
 @dataclass(frozen=True)
 class Solver:
-    """What a solver can do, and how it is made."""
+    """A solver that can be chosen: its capabilities, and the function that makes it."""
 
     make: Callable[[float, float | None], TrackSolver]
-    """From smoothing and a hand's length in metres or None; what it takes no notice of may be ignored"""
+    """A function that makes the solver from the strength of smoothing and a hand's length in metres, or None
+    for an unknown length; it may ignore either"""
     title: str
-    """For lists, in title case"""
+    """The solver's name as lists show it, in title case"""
     description: str
-    """One line for those who choose"""
+    """One line about the solver, for those who choose among several"""
     takes_hand_length: bool = False
-    """True if it takes notice of a given length"""
+    """True if the solver takes a given hand length into account"""
     slow: bool = False
-    """True if a frame takes it longer than the detector: once stopped, it gets a moment for what was found
-    until then, where others get the time that they need"""
+    """True if a frame takes the solver longer than the detector: once stopped, it gets a moment for what was
+    found until then, where other solvers get the time that they need"""
     published: bool = False
-    """True if it is the paper's: its own protocol runs it frame by frame, as published"""
+    """True if the solver is the paper's own, which its own protocol runs frame by frame, as published"""
     needs: tuple[str, ...] = ()
-    """Packages that it imports beside those that every capture needs"""
+    """Names of the packages that the solver imports beside those that every capture needs"""
 
 
 SOLVERS: Final[Registry[Solver]] = Registry(
@@ -82,18 +85,19 @@ SOLVERS: Final[Registry[Solver]] = Registry(
         "paper-a-plus": "handfit_core.paper:A_PLUS",
     },
 )
-"""All there are, by name"""
+"""All solvers by name, those of other packages included"""
 
 
 def solver_names() -> tuple[str, ...]:
-    """The names of all solvers."""
+    """Return the names of all solvers."""
     return SOLVERS.names()
 
 
 def get_solver(
     name: str, smoothing: float = USUAL_SMOOTHING, hand_length: float | None = None
 ) -> TrackSolver:
-    """The solver of that name, ready to fit; `smoothing` and `hand_length` as the options of those names.
+    """Return the solver of that name, ready to fit; `smoothing` is the strength (0: none), and `hand_length`
+    the metres from wrist joint to the tip of the middle finger, None where not known.
 
     Raises OptionError where there is no such solver, and where a package that it needs is not installed.
     """

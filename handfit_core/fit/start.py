@@ -12,7 +12,7 @@ from handfit_core.hand_model.chain import Chain, State
 
 
 def spatial(seen: Observation) -> np.ndarray:
-    """(B, 21, 3) the landmarks in pixels relative to their mean, camera axes, under orthographic
+    """(B, 21, 3) the landmarks in pixels relative to their mean, in camera axes, as under orthographic
     projection."""
     plane = seen.pixels - seen.pixels.mean(axis=1, keepdims=True)
     along_axis = np.concatenate([plane, seen.depth[..., None]], axis=2)
@@ -21,7 +21,7 @@ def spatial(seen: Observation) -> np.ndarray:
 
 @np.errstate(all="ignore")
 def relaxed_start(chain: Chain, seen: Observation, angles: np.ndarray, betas: np.ndarray) -> State:
-    """B hands of angles (5, 9) radians and betas (10,), laid over the landmarks.
+    """Lay B relaxed hands with `angles` (5, 9) in radians and `betas` (10,) over the observed landmarks.
 
     The rotation is fitted to the palm, size and place to all points.
     """

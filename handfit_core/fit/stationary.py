@@ -31,40 +31,42 @@ from handfit_core.hand_model.chain import State
 
 @dataclass(frozen=True)
 class DistanceModel:
-    """Standard deviations of the model above. "Relative" values are parts of the wrist's distance."""
+    """Standard deviations of the module's model of the wrist's distance. "Relative" values are parts of that
+    distance."""
 
     noise: float = 0.003
-    """relative, of each frame on its own"""
+    """relative: the noise of each frame on its own"""
     pose_error: float = 0.03
-    """relative, of b for an open hand"""
+    """relative: the pose's error b for an open hand"""
     pose_error_per_bend: float = 0.02
-    """relative, more of b for each radian that a finger is bent on average"""
+    """relative: how much larger the pose's error b is for each radian that a finger is bent on average"""
     bend_weight: float = 0.004
-    """relative, of w for each radian that one finger bends"""
+    """relative: the weight w for each radian that one finger bends"""
     change_per_bend: float = 0.03
-    """relative, of a change of b for each radian that all fingers bend"""
+    """relative: a change of the pose's error b for each radian that all fingers bend"""
     change_per_turn: float = 0.04
-    """relative, of a change of b for each radian that the palm turns"""
+    """relative: a change of the pose's error b for each radian that the palm turns"""
     drift: float = 0.0075
-    """relative per second, of a change of b without any motion"""
+    """relative, per second: a change of the pose's error b while nothing moves"""
     still_angles: float = 0.4
     """radians per second at which the fingers of a still hand seem to bend, and its palm to turn"""
     still_wrist: float = 0.075
-    """relative per second at which a still wrist seems to move across the picture"""
+    """relative, per second: the speed at which a still wrist seems to move across the picture"""
     rest_speed: float = 0.0175
-    """metres per second, of a wrist at rest"""
+    """metres per second: the speed of a wrist at rest"""
     rest_acceleration: float = 0.4
-    """metres per second squared, of a wrist at rest"""
+    """metres per second squared: the acceleration of a wrist at rest"""
     max_speed: float = 2.0
     """metres per second that are expected of a hand at most"""
     max_acceleration: float = 10.0
     """metres per second squared that are expected of a hand at most"""
     steady_seconds: float = 0.12
-    """Standard deviation of the window in which speeds and accelerations are much the same"""
+    """seconds: standard deviation of the window in which speeds and accelerations hardly change"""
     smoothing_seconds: float = 0.04
-    """Standard deviation of the window over which detections are averaged before they are differentiated"""
+    """seconds: standard deviation of the window over which detections are averaged before they are
+    differentiated"""
     known_distance: float = 1e-4
-    """relative, where the wrist's place is known"""
+    """relative: the error of the distance where the wrist's place is known"""
     rounds: int = 8
 
 
@@ -72,10 +74,10 @@ MODEL: Final = DistanceModel()
 
 
 def palm_motion_scale(seen: Observation, known: np.ndarray, fps: float) -> np.ndarray:
-    """(T,) factors of the palm's expected rotational acceleration in T consecutive frames.
+    """Return factors (T,) of the palm's expected rotational acceleration in T consecutive frames.
 
-    `min_scale` where the palm holds still in the picture, 1 where it moves, and 1 where `known` (T,)
-    bool says that nothing was seen.
+    They are `min_scale` where the palm holds still in the picture, 1 where it moves, and 1 where `known` (T,)
+    bool is false, as nothing was seen there.
     """
     fps = min(fps, MOTION.max_fps)
     size = max(float(np.median(np.ptp(seen.pixels, axis=1).max(axis=1))), 1.0)
@@ -89,10 +91,12 @@ def palm_motion_scale(seen: Observation, known: np.ndarray, fps: float) -> np.nd
 def wrist_distance_factors(
     state: State, known: np.ndarray, certain: np.ndarray, fps: float, smoothing: float
 ) -> np.ndarray:
-    """(T,) factors of the wrists' distances from the camera in T consecutive frames.
+    """Return the factors (T,) by which the wrists' distances from the camera are to be multiplied in T
+    consecutive frames.
 
     `state`: the frames, each fitted by itself. `known` (T,) bool: frames with a detection. `certain` (T,)
-    bool: frames whose wrist is in its true place. `smoothing`: the strength.
+    bool: frames whose wrist is in its true place. `smoothing`: the strength, 0 for none. `fps`: frames per
+    second.
     """
     fps = min(fps, MOTION.max_fps)
     known = known & ~certain & (state.wrist[:, 2] > TERMS.nearest)
@@ -150,8 +154,9 @@ def wrist_distance_factors(
 
 
 def _changes(state: State, bends: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """(T - 1,) and (T - 1,) relative to the distance, from frame to frame: the expected change of b, and how
-    far the wrist moves across the picture. `bends` (T, 5) radians."""
+    """Return two arrays (T - 1,) of changes from frame to frame, relative to the distance: the expected
+    change of b, and how far the wrist moves across the picture. `bends` (T, 5): radians that each finger is
+    bent."""
     from scipy.ndimage import maximum_filter1d  # slow to load
 
     def beyond(change: np.ndarray, still: float) -> np.ndarray:

@@ -15,7 +15,7 @@ from handfit_core.common.errors import OptionError
 
 SMALLEST_FOCAL: Final = 1e-3
 LARGEST_FOCAL: Final = 1e9
-"""Pixels: what is beyond these is no camera, and has no numbers left to compute with"""
+"""pixels: a focal length beyond which there is no camera, and no numbers are left to compute with"""
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,14 @@ class Intrinsics:
         return cls(focal, focal, width / 2.0, height / 2.0)
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """(..., 3) metres in the camera frame -> (..., 2) pixels. Points must have z > 0."""
+        """Project points (..., 3), metres in the camera frame with z > 0, to pixels (..., 2)."""
         points = np.asarray(points, dtype=np.float64)
         focal = np.array([self.fx, self.fy])
         return points[..., :2] / points[..., 2:3] * focal + np.array([self.cx, self.cy])
 
     def rays(self, pixels: np.ndarray) -> np.ndarray:
-        """(..., 2) pixels -> (..., 3) directions in the camera frame, scaled to z = 1."""
+        """Return the rays through pixels (..., 2) as directions (..., 3) in the camera frame, scaled to z =
+        1."""
         pixels = np.asarray(pixels, dtype=np.float64)
         xy = (pixels - np.array([self.cx, self.cy])) / np.array([self.fx, self.fy])
         return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
@@ -62,19 +63,21 @@ class Intrinsics:
 
 @dataclass(frozen=True, eq=False)
 class PlacedCamera:
-    """A further camera beside the one whose frame everything is in: x_v = rotation x + translation."""
+    """A further camera beside the first one, whose frame all points are in: x_v = rotation x +
+    translation."""
 
     intrinsics: Intrinsics
     rotation: np.ndarray
-    """(3, 3)"""
+    """(3, 3) rotation from the first camera's frame to this one's"""
     translation: np.ndarray
-    """(3,) metres"""
+    """(3,) metres: translation from the first camera's frame to this one's"""
 
     def seen_from(self, points: np.ndarray) -> np.ndarray:
-        """(..., 3) metres in the first camera's frame -> (..., 3) in this one's."""
+        """Return points (..., 3), metres in the first camera's frame, in this camera's frame, also in
+        metres."""
         return np.asarray(points @ self.rotation.T + self.translation)
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """(..., 3) metres in the first camera's frame -> (..., 2) pixels of this one. Points must be before
-        it."""
+        """Project points (..., 3), metres in the first camera's frame, to pixels (..., 2) of this camera.
+        Points must lie before it."""
         return self.intrinsics.project(self.seen_from(points))

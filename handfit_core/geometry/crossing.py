@@ -1,4 +1,4 @@
-"""Where the thumb crosses fingers in the picture, and which of both lies deeper."""
+"""Crossings of the thumb with fingers in the picture, and which of both lies deeper."""
 
 from __future__ import annotations
 
@@ -10,23 +10,25 @@ import numpy as np
 CROSSING: Final = np.array([(a, b) for a in (1, 2) for b in range(3, 15)])
 """(Q, 2) bones of the thumb and of the fingers, three each and thumb first, that can lie over each other"""
 CROSSING_STARTS: Final = 1 + 4 * (CROSSING // 3) + CROSSING % 3
-"""(Q, 2) keypoints at which these bones begin; they end at the next ones"""
+"""(Q, 2) the keypoints at which the bones of `CROSSING` begin; each ends at the keypoint that follows"""
 
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """How the Q pairs of bones `CROSSING` of B hands lie to each other in the picture."""
+    """The crossings, in the picture, of the Q pairs of bones in `CROSSING`, of B hands."""
 
     along: np.ndarray
-    """(B, Q, 2) how far along its bone each of a pair is nearest to the other, 0..1"""
+    """(B, Q, 2) how far along each of the two bones it is nearest to the other one, from 0 at its beginning
+    to 1 at its end"""
     across: np.ndarray
-    """(B, Q) their distance there, in units of the points"""
+    """(B, Q) the distance of the two bones where they are nearest to each other, in the unit of the
+    keypoints"""
     crossed: np.ndarray
-    """(B, Q) bool: true where they cross"""
+    """(B, Q) bool: true for pairs of bones that cross"""
 
     @classmethod
     def of(cls, points: np.ndarray) -> Self:
-        """The crossings of keypoints (B, 21, 2)."""
+        """Find the crossings of B hands from their keypoints (B, 21, 2) in the picture."""
         starts = points[:, CROSSING_STARTS]
         ends = points[:, CROSSING_STARTS + 1]
         along, across = _nearest(starts[:, :, 0], ends[:, :, 0], starts[:, :, 1], ends[:, :, 1])
@@ -35,7 +37,8 @@ class Crossing:
         return cls(along, across, across <= 0.08 * np.maximum(size, 1e-9)[:, None])
 
     def deeper(self, depth: np.ndarray) -> np.ndarray:
-        """(B, Q) by how much the second of a pair lies deeper, by the keypoints' depths (B, 21)."""
+        """Return by how much the second bone of each pair lies deeper than the first, (B, Q), where they are
+        nearest to each other, from the keypoints' depths (B, 21) and in their unit."""
         starts, ends = depth[:, CROSSING_STARTS], depth[:, CROSSING_STARTS + 1]
         there = starts * (1.0 - self.along) + ends * self.along
         return np.asarray(there[..., 1] - there[..., 0])
@@ -43,7 +46,8 @@ class Crossing:
 
 @np.errstate(all="ignore")
 def _nearest(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far along segments a-b and c-d (..., 2) they are nearest to each other, (..., 2), and how near."""
+    """Find where segments a-b and c-d, of ends (..., 2), are nearest to each other: how far along both
+    (..., 2), 0..1, and how near (...,)."""
     ab, cd, off = b - a, d - c, c - a
 
     def foot(point: np.ndarray, start: np.ndarray, axis: np.ndarray) -> np.ndarray:

@@ -16,12 +16,14 @@ from handfit_core.common.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 
 SAME_ASPECT: Final = 0.01
-"""By which share the aspect ratio of pictures may differ from that of the measured ones: sides are rounded"""
+"""Share by which the aspect ratio of pictures may differ from that of the measured ones, since sides are
+rounded"""
 _LEAST_SLOPE: Final = 0.3
-"""Where the seen radius grows more slowly than this with the true one, the polynomial is about to fold over
-and means nothing"""
+"""Slope of the seen radius over the true one, below which the polynomial is about to fold over and means
+nothing"""
 _NEWTON_STEPS: Final = 12
-"""Exact to 1e-9 px in the corners of wide webcams"""
+"""Number of Newton's steps by which distortion is taken out: exact to 1e-9 px in the corners of wide
+webcams"""
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Lens:
 
     intrinsics: Intrinsics
     distortion: tuple[float, float, float, float, float]
-    """k1, k2, p1, p2, k3, without a unit"""
+    """The coefficients k1, k2, p1, p2 and k3 of OpenCV's distortion, without a unit"""
     width: int
     height: int
 
@@ -42,8 +44,9 @@ class Lens:
             raise OptionError(f"a lens needs the size of its pictures; got {self.width}x{self.height}")
 
     def scaled(self, width: int, height: int) -> Lens:
-        """The lens in pictures of another size. In pictures of turned sides it is that of the turned camera:
-        to which side is unknown, so the principal point is the centre and the tangential terms are 0.
+        """Return the lens in pictures of another size. In pictures with width and height exchanged it is the
+        lens of the turned camera: to which side is unknown, so the principal point is the centre and the
+        tangential terms are 0.
 
         Raises OptionError where the pictures have another aspect ratio, as they are cut from the sensor
         elsewhere.
@@ -63,10 +66,11 @@ class Lens:
         )
 
     def undistorted(self, points: np.ndarray) -> np.ndarray:
-        """(..., 2) pixels as they are seen -> (..., 2) pixels at which `intrinsics` sees the same rays.
+        """Take the distortion out of points: return for pixels (..., 2), as they are seen, the pixels
+        (..., 2) at which `intrinsics` sees the same rays.
 
-        Beyond the picture's corners, or where the polynomial folds over, a point is moved as the last one
-        before on its radius.
+        A point beyond the picture's corners, or where the polynomial folds over, is moved as far as the last
+        point before it on its radius.
         """
         k = self.intrinsics
         focal, centre = np.array([k.fx, k.fy]), np.array([k.cx, k.cy])
@@ -79,7 +83,7 @@ class Lens:
         return (found + seen - within) * focal + centre
 
     def _reach(self) -> float:
-        """The seen radius, in the plane z = 1, up to which distortion is taken out."""
+        """The radius as it is seen, in the plane z = 1, up to which distortion is taken out."""
         k1, k2, _, _, k3 = self.distortion
         k = self.intrinsics
         corner = math.hypot(
@@ -95,7 +99,8 @@ class Lens:
         return min(corner, float(seen[last]))
 
     def _step(self, at: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Newton's step (..., 2) away from `at` in the plane z = 1, of which the end is seen at `target`."""
+        """Return Newton's step (..., 2) from points `at` in the plane z = 1, whose end is to be seen at
+        `target` (..., 2)."""
         k1, k2, p1, p2, k3 = self.distortion
         x, y = at[..., 0], at[..., 1]
         r2 = x * x + y * y

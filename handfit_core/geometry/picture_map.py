@@ -14,11 +14,11 @@ from handfit_core.geometry.camera import Intrinsics
 def picture_to_region(
     intrinsics: Intrinsics, camera: np.ndarray, perspective: np.ndarray, size: tuple[int, int]
 ) -> np.ndarray:
-    """The (3, 3) map of homogeneous pixels (x, y, 1) of the upright picture to those of a region.
+    """Return the (3, 3) map of homogeneous pixels (x, y, 1) of the upright picture to pixels of a region.
 
     camera (4, 4): the camera object's matrix_world; its scale does not matter. perspective (4, 4): the
-    region's `RegionView3D.perspective_matrix`. size: the region's width and height. Regions count
-    pixels from their lower left corner, upwards.
+    region's `RegionView3D.perspective_matrix`. size: the region's width and height. Regions count pixels from
+    their lower left corner, upwards.
     """
     rays = np.array(
         [
@@ -41,7 +41,7 @@ def picture_to_region(
 
 
 def mapped(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(..., 2) points through a (3, 3) projective map -> (..., 2)."""
+    """Map points (..., 2) by a (3, 3) projective matrix to points (..., 2)."""
     points = np.asarray(points, dtype=np.float64)
     moved = np.concatenate([points, np.ones_like(points[..., :1])], axis=-1) @ matrix.T
     return moved[..., :2] / moved[..., 2:]

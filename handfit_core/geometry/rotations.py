@@ -9,7 +9,8 @@ import numpy as np
 
 
 def rotvec_to_rotmat(rotvec: np.ndarray) -> np.ndarray:
-    """(..., 3) axis-angle -> (..., 3, 3) matrices (Rodrigues' formula; exact at zero)."""
+    """Convert axis-angle (..., 3) in radians to rotation matrices (..., 3, 3), by Rodrigues' formula; exact
+    at zero."""
     rotvec = np.asarray(rotvec, dtype=np.float64)
     angle = np.sqrt(np.square(rotvec).sum(axis=-1, keepdims=True))
     # For much larger angles than this one, sin(t) / t is exactly 1 already.
@@ -20,7 +21,7 @@ def rotvec_to_rotmat(rotvec: np.ndarray) -> np.ndarray:
 
 
 def euler_to_rotmat(angles: np.ndarray) -> np.ndarray:
-    """(..., 3) intrinsic Euler angles XYZ -> (..., 3, 3): Rx Ry Rz."""
+    """Convert intrinsic Euler angles XYZ (..., 3) in radians to rotation matrices (..., 3, 3): Rx Ry Rz."""
     sines, cosines = np.sin(angles), np.cos(angles)
     (sx, sy, sz), (cx, cy, cz) = np.moveaxis(sines, -1, 0), np.moveaxis(cosines, -1, 0)
     rotmat = np.empty((*np.shape(angles), 3))
@@ -40,7 +41,8 @@ def euler_to_rotmat(angles: np.ndarray) -> np.ndarray:
 
 
 def rotmat_to_euler(rotmat: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) -> (..., 3) intrinsic Euler angles XYZ, the second within 90 degrees of zero."""
+    """Convert rotation matrices (..., 3, 3) to intrinsic Euler angles XYZ (..., 3) in radians, the second
+    within 90 degrees of zero."""
     return np.stack(
         [
             np.arctan2(-rotmat[..., 1, 2], rotmat[..., 2, 2]),
@@ -52,13 +54,13 @@ def rotmat_to_euler(rotmat: np.ndarray) -> np.ndarray:
 
 
 def turn_from_axis(rays: np.ndarray) -> np.ndarray:
-    """(..., 3) unit vectors -> (..., 3, 3) the smallest rotations that lead from +z to them."""
+    """Return the smallest rotations (..., 3, 3) that lead from +z to unit vectors (..., 3)."""
     across = skew(np.stack([-rays[..., 1], rays[..., 0], np.zeros_like(rays[..., 0])], axis=-1))  # z x ray
     return np.eye(3) + across + across @ across / (1.0 + rays[..., 2])[..., None, None]
 
 
 def skew(vector: np.ndarray) -> np.ndarray:
-    """(..., 3) -> (..., 3, 3) with skew(v) @ u = v x u."""
+    """Return for vectors v (..., 3) the matrices (..., 3, 3) of their cross product: skew(v) @ u = v x u."""
     vector = np.asarray(vector, dtype=np.float64)
     matrix = np.zeros((*vector.shape, 3))
     matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0] = np.moveaxis(vector, -1, 0)
@@ -67,10 +69,10 @@ def skew(vector: np.ndarray) -> np.ndarray:
 
 
 def rotmat_to_quat(rotmat: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) -> (..., 4) unit quaternions (w, x, y, z) with w >= 0.
+    """Convert rotation matrices (..., 3, 3) to unit quaternions (..., 4) as (w, x, y, z) with w >= 0.
 
-    Takes the largest of the four candidate components first (Shepperd's method), so that no
-    rotation is near a singular division.
+    Takes the largest of the four candidate components first (Shepperd's method), so that no rotation is near
+    a singular division.
     """
     m = np.asarray(rotmat, dtype=np.float64)
     trace = np.trace(m, axis1=-2, axis2=-1)[..., None, None]
@@ -88,7 +90,8 @@ def rotmat_to_quat(rotmat: np.ndarray) -> np.ndarray:
 
 
 def quat_to_rotmat(quat: np.ndarray) -> np.ndarray:
-    """(..., 4) quaternions (w, x, y, z), normalised here -> (..., 3, 3)."""
+    """Convert quaternions (..., 4) as (w, x, y, z), which are normalised here, to rotation matrices
+    (..., 3, 3)."""
     quat = np.asarray(quat, dtype=np.float64)
     quat = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
     across = skew(quat[..., 1:])
@@ -96,12 +99,13 @@ def quat_to_rotmat(quat: np.ndarray) -> np.ndarray:
 
 
 def rotmat_to_rotvec(rotmat: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) -> (..., 3) axis-angle with an angle of at most pi."""
+    """Convert rotation matrices (..., 3, 3) to axis-angle (..., 3) in radians, with an angle of at most
+    pi."""
     return quat_to_rotvec(rotmat_to_quat(rotmat))
 
 
 def quat_multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Hamilton product of quaternions (..., 4) as (w, x, y, z)."""
+    """Multiply quaternions (..., 4) as (w, x, y, z): the Hamilton product a b, which turns by b first."""
     aw, av = a[..., :1], a[..., 1:]
     bw, bv = b[..., :1], b[..., 1:]
     scalar = aw * bw - np.sum(av * bv, axis=-1, keepdims=True)
@@ -109,14 +113,15 @@ def quat_multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def rotvec_to_quat(rotvec: np.ndarray) -> np.ndarray:
-    """(..., 3) axis-angle in radians -> (..., 4) unit quaternions (w, x, y, z); exact at zero."""
+    """Convert axis-angle (..., 3) in radians to unit quaternions (..., 4) as (w, x, y, z); exact at zero."""
     half = np.linalg.norm(rotvec, axis=-1, keepdims=True) / 2.0
     # sin(x) / x, which numpy defines as sinc(x / pi)
     return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * rotvec], axis=-1)
 
 
 def channels_to_quat(values: np.ndarray, mode: str) -> np.ndarray:
-    """(N, 3 or 4) rotations as Blender's channels have them -> (N, 4) unit quaternions (w, x, y, z).
+    """Convert rotations (N, 3 or 4), as Blender's channels have them, to unit quaternions (N, 4) as
+    (w, x, y, z).
 
     `mode` is Blender's: QUATERNION of any length (zero: no rotation), AXIS_ANGLE as (angle, x, y, z), or the
     order of Euler angles in radians, such as XYZ, whose first turn is about X.
@@ -135,7 +140,8 @@ def channels_to_quat(values: np.ndarray, mode: str) -> np.ndarray:
 
 
 def quat_to_rotvec(quat: np.ndarray) -> np.ndarray:
-    """(..., 4) unit quaternions (w, x, y, z) -> (..., 3) axis-angle in radians, of at most pi."""
+    """Convert unit quaternions (..., 4) as (w, x, y, z) to axis-angle (..., 3) in radians, with an angle of
+    at most pi."""
     quat = np.where(quat[..., :1] < 0.0, -quat, quat)
     sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, quat[..., :1])
@@ -156,7 +162,8 @@ def unflip_quats(quats: np.ndarray) -> np.ndarray:
 
 
 def swings(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """(N, 3, 3) the smallest rotations that take unit vectors (3,) or (N, 3) to others (N, 3)."""
+    """Return the smallest rotations (N, 3, 3) that take unit vectors `start`, (3,) or (N, 3), to unit vectors
+    `end` (N, 3)."""
     start = np.broadcast_to(start, end.shape)
     across, cosine = np.cross(start, end), np.sum(start * end, axis=-1)
     turn = skew(across)
@@ -169,16 +176,17 @@ def swings(start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 
 def perpendicular(vectors: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Vectors (..., 3) without their part along unit vectors (..., 3)."""
+    """Return vectors (..., 3) without their part along unit vectors (..., 3), so that they stand
+    perpendicular to these."""
     return vectors - np.sum(vectors * along, axis=-1, keepdims=True) * along
 
 
 def units(vectors: np.ndarray) -> np.ndarray:
-    """Vectors (..., 3) with length 1; zeros stay zeros."""
+    """Scale vectors (..., 3) to length 1; zeros stay zeros."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
 def smoothstep(share: np.ndarray) -> np.ndarray:
-    """0 up to a share of 0, 1 from a share of 1 on, and smooth between."""
+    """Rise smoothly from 0, where a share is 0 or less, to 1, where it is 1 or more."""
     share = np.clip(share, 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)

@@ -9,26 +9,26 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """x -> scale * rotation @ x + translation."""
+    """A similarity transform of points in space: x -> scale * rotation @ x + translation."""
 
     scale: float
     rotation: np.ndarray
-    """(3, 3), determinant +1"""
+    """(3, 3) rotation matrix, of determinant +1"""
     translation: np.ndarray
-    """(3,)"""
+    """(3,) translation, in the unit of the transformed points"""
 
     def apply(self, points: np.ndarray) -> np.ndarray:
-        """Transform (..., 3) points."""
+        """Transform points (..., 3)."""
         return self.scale * np.asarray(points) @ self.rotation.T + self.translation
 
     def inverse(self) -> Similarity:
-        """The transform back."""
+        """Return the transform that leads back."""
         rotation = self.rotation.T
         return Similarity(1.0 / self.scale, rotation, -rotation @ self.translation / self.scale)
 
     @property
     def matrix(self) -> np.ndarray:
-        """(4, 4) homogeneous matrix."""
+        """The transform as a homogeneous matrix (4, 4)."""
         matrix = np.eye(4)
         matrix[:3, :3] = self.scale * self.rotation
         matrix[:3, 3] = self.translation
@@ -36,8 +36,8 @@ class Similarity:
 
 
 def laid_over(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (N, 3, 3) and scales (N,) that lay centred sources (N, K, 3) over centred targets (N, K, 3)
-    with the least squared distance.
+    """Return the rotations (N, 3, 3) and scales (N,) that lay centred sources (N, K, 3) over centred targets
+    (N, K, 3) with the least squared distance.
 
     Never mirror images: determinants are +1 even where a reflection would fit better. Points that are not
     finite get a meaningless rotation, and harm no other set.
@@ -52,8 +52,8 @@ def laid_over(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def align(source: np.ndarray, target: np.ndarray, *, with_scale: bool) -> Similarity:
-    """The transform that brings (K, 3) `source` nearest to (K, 3) `target` in the least-squares sense, as
-    `laid_over` does. Degenerate sets (all points equal) give the identity rotation and scale 1."""
+    """Return the transform that brings `source` (K, 3) nearest to `target` (K, 3) in the least-squares sense,
+    as `laid_over` does. Degenerate sets (all points equal) give the identity rotation and scale 1."""
     source, target = np.asarray(source, dtype=np.float64), np.asarray(target, dtype=np.float64)
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     centred = source - source_mean

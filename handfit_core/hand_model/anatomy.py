@@ -1,9 +1,9 @@
-"""Anatomical axes, angles and ranges of motion of the 15 finger joints.
+"""The anatomy of the 15 finger joints: their axes, angles and ranges of motion.
 
-Each joint has three axes in the flat pose, after manotorch (Yang et al. 2021): **twist** along the
-bone back towards the wrist, **spread** towards the back of the hand, and **bend** = twist x spread.
-A positive bend closes the hand. Angles are the intrinsic Euler angles XYZ about (twist, spread, bend)
-relative to the flat pose, in radians.
+Each joint has three axes in the flat pose, after manotorch (Yang et al. 2021): **twist** along the bone back
+towards the wrist, **spread** towards the back of the hand, and **bend** = twist x spread. A positive bend
+closes the hand. Angles are the intrinsic Euler angles XYZ about (twist, spread, bend) relative to the flat
+pose, in radians.
 
 The joint order is MANO's without the wrist: index, middle, little, ring, thumb, three each.
 """
@@ -22,13 +22,15 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.files import OPEN_HAND
 
 SPREAD, BEND, MIDDLE_BEND, LAST_BEND = 1, 2, 5, 8
-"""Indices among a finger's nine angles: of the knuckle, and of the joints beyond it"""
+"""Indices among a finger's nine angles: spread and bend of the knuckle, and the bends of the two joints
+beyond it"""
 LANDMARKS_FILE: Final = Path(__file__).parent / "data" / "landmarks.npz"
-"""The calibration: landmark offsets, and the pose prior that belongs to them"""
+"""The file of the calibration: landmark offsets, and the pose prior that belongs to them"""
 
 
 def anatomical_axes(model: HandModel) -> np.ndarray:
-    """(15, 3, 3) rotations whose columns are each joint's (twist, spread, bend) axes, model frame.
+    """Return the axes of a model's 15 finger joints, model frame: rotations (15, 3, 3) whose columns are
+    (twist, spread, bend).
 
     Taken from the mean shape; shape moves them by a degree or two at most.
     """
@@ -37,8 +39,8 @@ def anatomical_axes(model: HandModel) -> np.ndarray:
 
 
 def axes_of(joints: np.ndarray, tips: np.ndarray, side: Side) -> np.ndarray:
-    """(15, 3, 3) rotations whose columns are the (twist, spread, bend) axes of a flat hand's joints, model
-    frame, from joints (16, 3) and fingertips (5, 3)."""
+    """Return the axes of a flat hand's 15 finger joints, model frame, as rotations (15, 3, 3) whose columns
+    are (twist, spread, bend), from joints (16, 3) and fingertips (5, 3) in metres."""
     axes = np.empty((15, 3, 3))
     for finger, chain in FINGER_JOINTS.items():
         points = [*joints[list(chain)], tips[FINGERS.index(finger)]]
@@ -48,7 +50,8 @@ def axes_of(joints: np.ndarray, tips: np.ndarray, side: Side) -> np.ndarray:
 
 
 def _towards_back(finger: str, side: Side) -> np.ndarray:
-    """Roughly away from the palm; the thumb is turned against the fingers."""
+    """Return the direction (3,), in the model frame, that leads roughly away from the palm; the thumb's is
+    turned against the fingers'."""
     if finger != "thumb":
         return np.array([0.0, 1.0, 0.0])
     return np.array([1.0 if side == "right" else -1.0, 1.0, 1.0])
@@ -62,21 +65,23 @@ def _frame(twist: np.ndarray, towards_back: np.ndarray) -> np.ndarray:
 
 
 def anatomical_angles(rotmats: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """(..., 15, 3, 3) local joint rotations, (15, 3, 3) axes -> (..., 15, 3) twist, spread, bend."""
+    """Return the anatomical angles (..., 15, 3), twist, spread and bend in radians, of local joint rotations
+    (..., 15, 3, 3) about axes (15, 3, 3)."""
     return rotmat_to_euler(np.swapaxes(axes, -1, -2) @ rotmats @ axes)
 
 
 def rotmats_from_angles(angles: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """The inverse of `anatomical_angles`: (..., 15, 3) twist, spread, bend in radians, (15, 3, 3) axes ->
-    (..., 15, 3, 3) local joint rotations, Rx(twist) Ry(spread) Rz(bend) about the joint's own axes."""
+    """Return local joint rotations (..., 15, 3, 3), Rx(twist) Ry(spread) Rz(bend) about each joint's own axes
+    (15, 3, 3), from anatomical angles (..., 15, 3) in radians: the inverse of `anatomical_angles`."""
     return axes @ euler_to_rotmat(np.asarray(angles, dtype=np.float64)) @ np.swapaxes(axes, -1, -2)
 
 
 def relaxed_pose(model: HandModel) -> np.ndarray:
-    """(45,) axis-angle in radians of a relaxed hand: the mean of many detected hands' joint angles.
+    """Return the hand_pose (45,) of a relaxed hand, axis-angle in radians: the mean of many detected hands'
+    joint angles.
 
-    The numbers come with the landmarks' calibration (data/landmarks.npz, pose_mean: five fingers in
-    the order of `FINGERS`, three joints each of twist, spread, bend, for the right hand).
+    The numbers come with the landmarks' calibration (data/landmarks.npz, pose_mean: five fingers in the order
+    of `FINGERS`, three joints each of twist, spread, bend, for the right hand).
     """
     with np.load(LANDMARKS_FILE, allow_pickle=False) as arrays:
         by_finger = np.asarray(arrays["pose_mean"], dtype=np.float64).reshape(len(FINGERS), 3, 3)
@@ -90,12 +95,12 @@ def relaxed_pose(model: HandModel) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """Active range of motion in radians."""
+    """The active range of motion of the 15 finger joints: how far a person can move them without help."""
 
     lower: np.ndarray
-    """(15, 3) twist, spread, bend"""
+    """(15, 3) radians: the least twist, spread and bend of each joint"""
     upper: np.ndarray
-    """(15, 3)"""
+    """(15, 3) radians: the greatest twist, spread and bend of each joint"""
 
 
 # Degrees, right hand. Bends: Bain et al. 2015, active range. The knuckles' spread of +-20 and the
@@ -112,7 +117,7 @@ _BENDS: dict[str, tuple[tuple[float, float], ...]] = {
 
 
 def joint_limits(side: Side, model: str = OPEN_HAND) -> JointLimits:
-    """The range of every anatomical angle of one hand, of the hand model of that name."""
+    """Return the range of every anatomical angle of a hand of that side, for the hand model of that name."""
     limits = np.empty((15, 3, 2))
     for finger, joints in FINGER_JOINTS.items():
         for place, (joint, bend) in enumerate(zip(joints, _BENDS[finger], strict=True)):

@@ -30,29 +30,31 @@ from handfit_core.geometry.rotations import (
 from handfit_core.hand_model.data import HandModel, ShapedHand
 
 WORLD_FROM_CAMERA: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""(x, y, z) -> (x, z, -y)"""
+"""The rotation from the camera frame to Blender's world: (x, y, z) -> (x, z, -y)"""
 
 REST_FROM_MODEL: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""(x, y, z) -> (x, -z, y)"""
+"""The rotation from the model frame to rest space: (x, y, z) -> (x, -z, y)"""
 
 MIRROR_X: Final = np.diag([-1.0, 1.0, 1.0])
-"""Left and right exchanged, in rest space as in the camera frame"""
+"""The mirror that exchanges left and right, in rest space as in the camera frame"""
 
 _UP_OF_THUMB: Final = np.array([1.0, 1.0, 1.0])
-"""Model frame of the right hand: out of the thumb's nail (manotorch's rest axes)"""
+"""(3,) direction out of the thumb's nail in the model frame of the right hand (manotorch's rest axes)"""
 
 ANATOMICAL_IN_BONE: Final = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""A finger joint's (twist, spread, bend) axes of `anatomy`, in columns, in its bone's frame: -Y, -Z and X"""
+"""(3, 3) the (twist, spread, bend) axes of a finger joint, see `anatomy`, in the frame of its bone: -Y, -Z
+and X as columns"""
 
 
 def points_to_world(points: np.ndarray) -> np.ndarray:
-    """(..., 3) metres in the camera frame -> (..., 3) metres in Blender's world."""
+    """Return points (..., 3), metres in the camera frame, in Blender's world, also in metres."""
     return points @ WORLD_FROM_CAMERA.T
 
 
 def camera_in_world(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    """The (4, 4) matrix, in metres, of Blender's camera that sees points x of the capture camera's frame at
-    rotation (3, 3) x + translation (3,). Blender's cameras look along their own -Z, with Y up."""
+    """Return the matrix_world (4, 4), in metres, of Blender's camera that sees points x of the capture
+    camera's frame at rotation (3, 3) x + translation (3,). Blender's cameras look along their own -Z, with Y
+    up."""
     matrix = np.eye(4)
     matrix[:3, :3] = WORLD_FROM_CAMERA @ rotation.T @ np.diag([1.0, -1.0, -1.0])
     matrix[:3, 3] = points_to_world(-rotation.T @ translation)
@@ -60,12 +62,12 @@ def camera_in_world(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray
 
 
 def points_to_rest(points: np.ndarray) -> np.ndarray:
-    """(..., 3) metres in the model frame -> (..., 3) metres in the armature's rest space."""
+    """Return points (..., 3), metres in the model frame, in the armature's rest space, also in metres."""
     return points @ REST_FROM_MODEL.T
 
 
 def bone_tails(shaped: ShapedHand) -> np.ndarray:
-    """Where each of the 16 bones ends: (16, 3) metres in the model frame.
+    """Return where each of the 16 bones ends: (16, 3) metres in the model frame.
 
     A finger's bone ends at the next joint or at the fingertip, the wrist's at the middle knuckle.
     """
@@ -78,11 +80,11 @@ def bone_tails(shaped: ShapedHand) -> np.ndarray:
 
 
 def bone_frames(shaped: ShapedHand, side: Side) -> np.ndarray:
-    """Each bone's axes in rest space: (16, 3, 3) rotations with the bone's X, Y and Z in columns.
+    """Return each bone's axes in rest space: rotations (16, 3, 3) with the bone's X, Y and Z in columns.
 
     X is the axis about which a finger bends towards the palm: "back along the bone" x "up", made
-    perpendicular to the bone. The left hand's frames are the right hand's as Blender mirrors bones,
-    so that poses can be pasted from one to the other.
+    perpendicular to the bone. The left hand's frames are the right hand's as Blender mirrors bones, so that
+    poses can be pasted from one to the other.
     """
     along = units(bone_tails(shaped) - shaped.joints)
     # Out of the back of the hand, for both sides; the thumb's is mirrored for the left one.
@@ -95,7 +97,7 @@ def bone_frames(shaped: ShapedHand, side: Side) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class RestPose:
-    """Where a rig's 16 bones lie while it rests, in MANO's joint order.
+    """The 16 bones of a rig at rest, in MANO's joint order, and the frames that their poses are told in.
 
     Poses of bones are quaternions (N, 16, 4) as (w, x, y, z), each relative to its bone's rest, and the wrist
     bone's locations (N, 3) in metres along its own axes.
@@ -103,7 +105,7 @@ class RestPose:
 
     side: Side
     frames: np.ndarray
-    """(16, 3, 3) each bone's axes in rest space, X, Y and Z in columns"""
+    """(16, 3, 3) each bone's axes in rest space, with X, Y and Z in columns"""
     wrist: np.ndarray
     """(3,) metres in rest space: where the wrist bone begins"""
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -113,11 +115,11 @@ class RestPose:
     def to_bones(
         self, shaped: ShapedHand, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The pose of the bones, with which the rig stands where a take has the hand.
+        """Return the pose of the bones, with which the rig stands where a take has the hand: quaternions
+        (N, 16, 4) and the wrist's locations (N, 3) in metres.
 
         `shaped` is the hand that the rig has; global_orient (N, 3) and hand_pose (N, 45) axis-angle in
-        radians, model frame to camera frame; transl (N, 3) metres, camera frame. Returns quaternions and
-        locations.
+        radians, model frame to camera frame; transl (N, 3) metres, camera frame.
         """
         fingers = rotvec_to_rotmat(np.reshape(hand_pose, (-1, NUM_JOINTS - 1, 3)))
         turned = np.empty((len(fingers), NUM_JOINTS, 3, 3))
@@ -131,7 +133,8 @@ class RestPose:
     def from_bones(
         self, shaped: ShapedHand, quats: np.ndarray, locations: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The inverse of `to_bones`: the take's global_orient (N, 3), hand_pose (N, 45) and transl (N, 3)."""
+        """Return the take's global_orient (N, 3), hand_pose (N, 45) and transl (N, 3) of a pose of the bones:
+        the inverse of `to_bones`."""
         turned = self.frames @ quat_to_rotmat(quats) @ np.swapaxes(self.frames, -1, -2)
         global_orient = rotmat_to_rotvec(WORLD_FROM_CAMERA.T @ turned[:, 0] @ REST_FROM_MODEL)
         hand_pose = rotmat_to_rotvec(REST_FROM_MODEL.T @ turned[:, 1:] @ REST_FROM_MODEL)
@@ -140,20 +143,21 @@ class RestPose:
         return global_orient, hand_pose.reshape(-1, 3 * (NUM_JOINTS - 1)), moved @ WORLD_FROM_CAMERA - wrist
 
     def turned_to(self, other: RestPose, quats: np.ndarray) -> np.ndarray:
-        """Quaternions (..., 16, 4) that do to another rig's bones what `quats` do to this one's; to a hand of
-        the other side, as a mirror at x = 0 of rest space shows it.
+        """Return the quaternions (..., 16, 4) that do to another rig's bones what `quats` do to those of this
+        rig; to a hand of the other side, as a mirror at x = 0 of rest space shows it.
 
-        About a bone's axes B a rotation R of rest space is B^T R B, so the quaternion's vector turns by
-        D = B_other^T B. A mirror M turns R into M R M, which is D R_bone D^T with D = B_other^T M B; since
-        det D = -1 then, the vector turns by -D.
+        About a bone's axes B a rotation R of rest space is B^T R B, so the quaternion's vector turns by D =
+        B_other^T B. A mirror M turns R into M R M, which is D R_bone D^T with D = B_other^T M B; since det D
+        = -1 then, the vector turns by -D.
         """
         mirror = np.eye(3) if other.side == self.side else -MIRROR_X
         turn = np.swapaxes(other.frames, -1, -2) @ mirror @ self.frames
         return np.concatenate([quats[..., :1], (turn @ quats[..., 1:, None])[..., 0]], axis=-1)
 
     def moved_to(self, other: RestPose, locations: np.ndarray, plane: float = 0.0) -> np.ndarray:
-        """Locations (..., 3) that put another rig's wrist where `locations` put this one's; a wrist of the
-        other side, where a mirror at x = `plane` metres of rest space shows it."""
+        """Return the locations (..., 3), in metres, that put another rig's wrist where `locations` put that
+        of this rig; a wrist of the other side, where a mirror at x = `plane` metres of rest space shows
+        it."""
         place = self.wrist + self.origin + locations @ self.frames[0].T
         if other.side != self.side:
             place = place @ MIRROR_X + np.array([2.0 * plane, 0.0, 0.0])
@@ -161,19 +165,20 @@ class RestPose:
 
 
 def mirrored_pose(global_orient: np.ndarray, hand_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A take's global_orient (N, 3) and hand_pose (N, 45) in a mirror at x = 0, which turns the axis-angle
-    (a, b, c) into (a, -b, -c)."""
+    """Return a take's global_orient (N, 3) and hand_pose (N, 45), in radians, in a mirror at x = 0, which
+    turns the axis-angle (a, b, c) into (a, -b, -c)."""
     turn = np.array([1.0, -1.0, -1.0])
     return global_orient * turn, hand_pose * np.tile(turn, NUM_JOINTS - 1)
 
 
 QUATERNION_PRODUCTS: Final = ("w*x", "w*y", "w*z", "x*x", "y*y", "z*z", "y*z", "x*z", "x*y")
-"""R of a unit quaternion (w, x, y, z) is I plus the sum of these, each times its matrix of
-`_PRODUCT_MATRICES`"""
+"""The nine products of a unit quaternion's components (w, x, y, z) whose sum, each times its matrix of
+`_PRODUCT_MATRICES`, is R - I for its rotation R"""
 
 
 def _matrices_of_products() -> np.ndarray:
-    """(9, 3, 3) matrices that sum to R - I, each times its product."""
+    """Return the matrices (9, 3, 3) whose sum, each times its product of a quaternion's components, is R -
+    I."""
     matrices = np.zeros((9, 3, 3))
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -187,29 +192,30 @@ _PRODUCT_MATRICES: Final = _matrices_of_products()
 
 
 def corrective_offsets(model: HandModel, frames: np.ndarray) -> np.ndarray:
-    """The pose blend shapes per product of a bone's own quaternion: (15, 9, V, 3) metres, rest space.
+    """Return the pose blend shapes per product of a bone's own quaternion: (15, 9, V, 3) metres, rest space.
 
     MANO adds posedirs * (R - I), with R the joint's rotation in model axes. Drivers see the bone's rotation
     R_bone = B^T R B instead, B being the bone's axes in the model frame, and R_bone - I is the sum of the
-    quaternion's products times M_p. So the offset of product p is posedirs * (B M_p B^T). Row j is joint
-    j + 1, columns are as `QUATERNION_PRODUCTS`: a joint that only bends needs two of them, w*x and x*x.
+    quaternion's products times M_p. So the offset of product p is posedirs * (B M_p B^T). Row j is joint j +
+    1, columns are as `QUATERNION_PRODUCTS`: a joint that only bends needs two of them, w*x and x*x.
 
-    Products that move hardly anything (0.2 mm at 1) in the mean hand are zero in all others: betas turn
-    bones by half a degree, and a hinge would need all nine for hundredths of a millimetre.
+    Products that move hardly anything (0.2 mm at 1) in the mean hand are zero in all others: betas turn bones
+    by half a degree, and a hinge would need all nine for hundredths of a millimetre.
     """
     return _by_product(model, frames, _used_products(model))
 
 
 @lru_cache(maxsize=8)
 def _used_products(model: HandModel) -> np.ndarray:
-    """(15, 9) bool: True for products that move the skin of the mean hand."""
+    """Tell for each joint which of the nine products move the skin of the mean hand: (15, 9) bool."""
     every = np.ones((NUM_JOINTS - 1, 9), dtype=bool)
     mean = _by_product(model, bone_frames(model.shaped(), model.side), every)
     return np.abs(mean).max(axis=(2, 3)) > 2e-4
 
 
 def _by_product(model: HandModel, frames: np.ndarray, used: np.ndarray) -> np.ndarray:
-    """(15, 9, V, 3) offsets of the products that are used (15, 9), zero for all others."""
+    """Return the offsets (15, 9, V, 3), in metres, of the products that `used` (15, 9) marks, zero for all
+    others."""
     posedirs = model.posedirs.reshape(-1, 3, NUM_JOINTS - 1, 9)
     offsets = np.zeros((NUM_JOINTS - 1, 9, len(posedirs), 3))
     for joint, elements in enumerate(_products_to_elements(frames)):
@@ -219,13 +225,15 @@ def _by_product(model: HandModel, frames: np.ndarray, used: np.ndarray) -> np.nd
 
 
 def posedirs_of(offsets: np.ndarray, frames: np.ndarray) -> np.ndarray:
-    """(V, 3, 135) posedirs from offsets (15, 9, V, 3): the inverse of `corrective_offsets`."""
+    """Return the posedirs (V, 3, 135) of a model from offsets (15, 9, V, 3) in metres: the inverse of
+    `corrective_offsets`."""
     elements = np.linalg.inv(_products_to_elements(frames))
     posedirs = np.einsum("jpvc,jep->vcje", offsets @ REST_FROM_MODEL, elements, optimize=True)
     return posedirs.reshape(len(posedirs), 3, -1)
 
 
 def _products_to_elements(frames: np.ndarray) -> np.ndarray:
-    """(15, 9, 9): row p of a joint is B M_p B^T, row by row."""
+    """Return for each joint a matrix (15, 9, 9) whose row p is B M_p B^T, with B the bone's axes, row by
+    row."""
     basis = REST_FROM_MODEL.T @ frames[1:]
     return np.einsum("jak,pkl,jbl->jpab", basis, _PRODUCT_MATRICES, basis).reshape(NUM_JOINTS - 1, 9, 9)

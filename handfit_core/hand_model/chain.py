@@ -33,9 +33,9 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import Landmarks, bone_axes
 
 _ROOT = 3
-"""The root comes after the three joints among a finger's frames"""
+"""Index of the root among the frames of a finger, after its three joints"""
 _CROSSED = -skew(np.eye(3)).reshape(3, 9)
-"""a @ _CROSSED is, row by row, the matrix with which v becomes v x a"""
+"""(3, 9) a matrix for cross products: a @ _CROSSED is, row by row, the matrix with which v becomes v x a"""
 
 ROOT, BETAS, PLACE, DEPTH_ZERO = slice(0, 3), slice(3, 13), slice(13, 16), slice(16, 17)
 """A hand's own variables: the root's turn, the shape, the wrist's place, and where depth is zero"""
@@ -46,22 +46,22 @@ FIXED_SHAPE = np.r_[ROOT, PLACE, DEPTH_ZERO]
 
 @dataclass(frozen=True, eq=False)
 class State(Batch):
-    """Pose and place of B hands."""
+    """The pose, place and shape of B hands, as a fit's variables."""
 
     root: np.ndarray
-    """(B, 3, 3) global_orient"""
+    """(B, 3, 3) global_orient as rotation matrices"""
     angles: np.ndarray
-    """(B, 5, 9) radians, finger by finger: (twist, spread, bend) of three joints"""
+    """(B, 5, 9) radians, finger by finger: (twist, spread, bend) of each of three joints"""
     wrist: np.ndarray
-    """(B, 3) the wrist joint, metres, camera frame"""
+    """(B, 3) metres: the place of the wrist joint in the camera frame"""
     betas: np.ndarray
-    """(B, 10)"""
+    """(B, 10) shape coefficients of the hand model"""
     depth_zero: np.ndarray
     """(B,) metres along the line of sight where the detector's depth is zero"""
 
     def moved(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> State:
-        """The state after increments of the hand's own variables (B, 17), or (B, 7) where the shape is given,
-        and of the angles (B, 5, 9)."""
+        """Return the state after increments of the hand's own variables (B, 17), or (B, 7) where the shape is
+        given, and of the angles (B, 5, 9) in radians."""
         free = of_hand.shape[1] == HAND_SIZE
         place = of_hand[:, PLACE] if free else of_hand[:, 3:6]
         return State(
@@ -74,8 +74,8 @@ class State(Batch):
 
 
 def turns_by_angles(angles: np.ndarray, local: np.ndarray) -> np.ndarray:
-    """(..., 3) angles of joints and their rotations Q (..., 3, 3) -> (..., 3, 3) matrices that turn changes
-    of the angles into the increment w of Q <- Q exp(w)."""
+    """Return the matrices (..., 3, 3) that turn changes of joints' angles (..., 3), in radians, into the
+    increment w of Q <- Q exp(w); `local` (..., 3, 3) are the joints' rotations Q."""
     turns = np.zeros_like(local)
     turns[..., 0] = local[..., 0, :]
     turns[..., 0, 1], turns[..., 1, 1] = np.sin(angles[..., 2]), np.cos(angles[..., 2])
@@ -88,18 +88,20 @@ class Posed:
     """The landmarks of B posed hands, and the axes and arms that their derivatives are made of."""
 
     points: np.ndarray
-    """(B, 21, 3) metres, camera frame"""
+    """(B, 21, 3) metres: the landmarks in the camera frame"""
     origins: np.ndarray
-    """(B, 5, 4, 3) metres: centres of rotation of the three joints and of the root"""
+    """(B, 5, 4, 3) metres: for each finger the centres of rotation of its three joints and of the root,
+    camera frame"""
     axes: np.ndarray
-    """(B, 5, 4, 3, 3) axes of rotation, in columns: of each joint's angles, and of the root's increment"""
+    """(B, 5, 4, 3, 3) axes of rotation, in columns, of each joint's angles and of the root's increment,
+    camera frame"""
     frames: np.ndarray
-    """(B, 5, 3, 12) the axes of the three joints and of the root, side by side"""
+    """(B, 5, 3, 12) for each finger the axes of its three joints and of the root, side by side"""
     state: State
 
 
 class Chain:
-    """One hand model's kinematics with its landmarks."""
+    """The kinematics of one hand model, which carry its landmarks."""
 
     def __init__(self, model: HandModel, landmarks: Landmarks) -> None:
         self.model = model
@@ -142,7 +144,7 @@ class Chain:
         self._wrist_template, self._wrist_dirs = joints[0], joint_dirs[0]
 
     def pose(self, state: State) -> Posed:
-        """Pose the landmarks of B hands."""
+        """Pose the landmarks of B hands, and collect what their derivatives are made of."""
         batch = len(state)
         angles = state.angles.reshape(batch, 5, 3, 3)
         local = euler_to_rotmat(angles)
@@ -165,15 +167,18 @@ class Chain:
         return Posed(points, origins, axes, frames, state)
 
     def points(self, state: State) -> np.ndarray:
-        """(B, 21, 3) the landmarks, metres, camera frame; computed in slices, which bounds the memory."""
+        """Return the landmarks (B, 21, 3) of posed hands, metres, camera frame; computed in slices, which
+        bounds the memory."""
         return np.concatenate([self.pose(state.select(rows)).points for rows in slices(len(state))])
 
     def jacobian(self, posed: Posed, rows: np.ndarray, *, shape: bool) -> np.ndarray:
-        """(B, 21, c, 9 + n + k) from c rows of each landmark (B, 21, c, 3 + 1 + k).
+        """Turn c rows of each landmark (B, 21, c, 3 + 1 + k) into rows (B, 21, c, 9 + n + k) by the hand's
+        variables.
 
-        Rows hold derivatives by the point and by where depth is zero, and k columns that stay what they are,
-        such as residuals. They become derivatives by the nine angles of the point's own finger (zero for the
-        wrist's point), and by the hand's own n variables: 17, or with a given shape 7.
+        The given rows hold derivatives by the landmark's place and by where depth is zero, and k columns that
+        stay what they are, such as residuals. The returned ones hold derivatives by the nine angles of the
+        landmark's own finger (zero for the wrist's point), and by the hand's own n variables: 17, or with a
+        given shape 7.
         """
         batch = len(posed.state)
         moving = 12 + NUM_BETAS * shape
@@ -203,8 +208,9 @@ class Chain:
         transl: np.ndarray,
         depth_zero: np.ndarray,
     ) -> State:
-        """The inverse of `parameters`: betas (B, 10), global_orient (B, 3), hand_pose (B, 45), transl (B, 3)
-        in MANO's convention; depth_zero (B,) metres."""
+        """Return the state of hands given in MANO's convention, by betas (B, 10), global_orient (B, 3) and
+        hand_pose (B, 45) in radians, transl (B, 3) in metres; depth_zero (B,) metres. The inverse of
+        `parameters`."""
         rotmats = rotvec_to_rotmat(hand_pose.reshape(-1, 15, 3))[:, JOINTS_BY_FINGER - 1]
         angles = rotmat_to_euler(np.swapaxes(self._axes, -1, -2) @ rotmats @ self._axes)
         return State(
@@ -216,7 +222,8 @@ class Chain:
         )
 
     def parameters(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """betas (B, 10), global_orient (B, 3), hand_pose (B, 45) and transl (B, 3) in MANO's convention."""
+        """Return betas (B, 10), global_orient (B, 3) and hand_pose (B, 45) in radians, and transl (B, 3) in
+        metres, of a state, in MANO's convention."""
         pose = np.empty((len(state), 15, 3))
         for rows in slices(len(state)):
             local = self._axes @ euler_to_rotmat(state.angles[rows].reshape(-1, 5, 3, 3))

@@ -20,23 +20,23 @@ from handfit_core.geometry import rotations
 
 @dataclass(frozen=True)
 class ModelLimits:
-    """The most that a model and its file may hold."""
+    """Limits of what a model and its file may hold."""
 
     vertices: int = 50_000
-    """of a model; MANO has 778, the open hand 1609"""
+    """Most vertices of a model's mesh; MANO's has 778, the open hand's 1609"""
     faces: int = 2 * vertices
-    """of a model; MANO has 1538, the open hand 1598"""
+    """Most faces of a model's mesh; MANO's has 1538, the open hand's 1598"""
     number: float = 1e4
-    """of any number of a model: metres, weights and radians"""
+    """Largest size of any number of a model, be it metres, weights or radians"""
     min_hand: float = 0.01
-    """metres across"""
+    """metres that a hand model must be across at least"""
     max_hand: float = 10.0
-    """metres across"""
+    """metres that a hand model may be across at most"""
     file_bytes: int = 64_000_000
-    """Largest model file; MANO's have 4 MB, and larger meshes in its format 10 MB"""
+    """Most bytes of a model file; MANO's have 4 MB, and larger meshes in its format 10 MB"""
     name_length: int = 200
     memory_bytes: int = 200_000_000
-    """Largest size of a model's arrays: twelve times that of the open hand's"""
+    """Most bytes of a model's arrays: twelve times those of the open hand's"""
 
 
 LIMITS: Final = ModelLimits()
@@ -48,15 +48,15 @@ class ShapedHand:
     and placed, in the frame that global_orient and transl lead to."""
 
     vertices: np.ndarray
-    """(..., V, 3)"""
+    """(..., V, 3) metres: the vertices of the mesh"""
     joints: np.ndarray
-    """(..., 16, 3)"""
+    """(..., 16, 3) metres: the joints, in MANO's order"""
     tips: np.ndarray
-    """(..., 5, 3) fingertips: thumb, index, middle, ring, little"""
+    """(..., 5, 3) metres: the fingertips of thumb, index, middle, ring and little finger"""
 
     @property
     def keypoints(self) -> np.ndarray:
-        """(..., 21, 3)"""
+        """(..., 21, 3) metres: the keypoints, in MediaPipe's order."""
         return keypoints_from_joints(self.joints, self.tips)
 
 
@@ -69,35 +69,39 @@ class HandModel:
     """
 
     name: str
-    """`open-hand`, or the stem of the user's file"""
+    """The model's name: `open-hand`, or the stem of the user's file"""
     side: Side
     v_template: np.ndarray = array("V", 3, finite="all", most=LIMITS.number)
     faces: np.ndarray = array("F", 3, kind="i", most_rows=LIMITS.faces)
-    """Triangles, counter-clockwise seen from outside"""
+    """(F, 3) vertex indices of the triangles, counter-clockwise seen from outside"""
     shapedirs: np.ndarray = array("V", 3, NUM_BETAS, finite="all", most=LIMITS.number)
     posedirs: np.ndarray = array("V", 3, 9 * (NUM_JOINTS - 1), finite="all", most=LIMITS.number)
-    """Offsets per element of R - I of joints 1..15, row-major"""
+    """(V, 3, 135) metres: the vertices' offsets per element of R - I of the rotations of joints 1..15,
+    row-major"""
     joint_regressor: np.ndarray = array(NUM_JOINTS, "V", finite="all", most=LIMITS.number)
     weights: np.ndarray = array("V", NUM_JOINTS, finite="all", most=LIMITS.number)
-    """Skin weights; rows sum to 1"""
+    """(V, 16) skin weights of each vertex by joint; rows sum to 1"""
     hands_mean: np.ndarray = array(45, finite="all", most=LIMITS.number)
-    """Relaxed pose, axis-angle; never added by us: hand_pose is always relative to the flat hand"""
+    """(45,) the relaxed pose, axis-angle in radians; never added by us: hand_pose is always relative to the
+    flat hand"""
     hands_components: np.ndarray = array(45, 45, finite="all", most=LIMITS.number)
-    """Principal directions of the pose, in rows"""
+    """(45, 45) principal directions of the pose, in rows"""
     tip_vertices: np.ndarray = array(len(FINGERS), kind="i")
-    """Vertex index of each fingertip: thumb, index, middle, ring, little"""
+    """(5,) vertex numbers of the fingertips: thumb, index, middle, ring, little"""
     quads: np.ndarray | None = array("Q", 4, kind="i", most_rows=LIMITS.faces, default=None)
-    """Faces for artists, where the model has them"""
+    """(Q, 4) vertex indices of the faces for artists; None where the model has only triangles"""
     uv: np.ndarray | None = array("U", 2, finite="all", most=LIMITS.number, default=None)
-    """Texture coordinates, where the model has them"""
+    """(U, 2) texture coordinates; None where the model has none"""
     uv_faces: np.ndarray | None = array("P", "C", kind="i", most_rows=LIMITS.faces, default=None)
-    """Indices into uv, per corner of quads (or of faces where quads is None)"""
+    """Indices of texture coordinates in `uv`, for each corner of quads (or of faces where quads is None);
+    None where the model has none"""
     source: str = field(default="")
-    """Path of the file it came from, or empty for the bundled open hand"""
+    """Path of the file that the model was read from; empty for the bundled open hand"""
 
     @property
     def polygons(self) -> np.ndarray:
-        """(Q, 4) quads where the model has them, else its (F, 3) triangles."""
+        """The polygons of the mesh by their vertices: quads (Q, 4) where the model has them, else triangles
+        (F, 3)."""
         return self.faces if self.quads is None else self.quads
 
     @cached_property
@@ -107,7 +111,7 @@ class HandModel:
 
     @cached_property
     def digest(self) -> str:
-        """Short fingerprint of the arrays that decide where joints and vertices go.
+        """A short fingerprint of the arrays that decide where joints and vertices go.
 
         In 32 bits, which is what `.npz` files keep of `.pkl` files; without the skin weights, which are
         normalised again on every reading.
@@ -126,11 +130,11 @@ class HandModel:
     def posed(
         self, betas: np.ndarray | None, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray
     ) -> ShapedHand:
-        """Linear blend skinning as MANO (Romero, Tzionas, Black 2017) defines it.
+        """Pose the mesh by linear blend skinning as MANO (Romero, Tzionas, Black 2017) defines it.
 
-        betas (10,) or None; global_orient (..., 3) and hand_pose (..., 45) axis-angle in radians;
-        transl (..., 3) metres. The root rotates about the wrist joint, then transl is added, so the
-        wrist ends at shaped(betas).joints[0] + transl.
+        betas (10,) or None; global_orient (..., 3) and hand_pose (..., 45) axis-angle in radians; transl
+        (..., 3) metres. The root rotates about the wrist joint, then transl is added, so the wrist ends at
+        shaped(betas).joints[0] + transl.
         """
         vertices, joints = self.skinned(slice(None), betas, global_orient, hand_pose, transl)
         return ShapedHand(vertices, joints, vertices[..., self.tip_vertices, :])
@@ -138,7 +142,7 @@ class HandModel:
     def keypoints(
         self, betas: np.ndarray | None, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray
     ) -> np.ndarray:
-        """The (..., 21, 3) keypoints of `posed`, without the cost of the mesh."""
+        """Return the keypoints (..., 21, 3), in metres, of `posed`, without the cost of the mesh."""
         tips, joints = self.skinned(self.tip_vertices, betas, global_orient, hand_pose, transl)
         return keypoints_from_joints(joints, tips)
 
@@ -150,7 +154,7 @@ class HandModel:
         hand_pose: np.ndarray,
         transl: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The `chosen` vertices (..., N, 3) and all joints (..., 16, 3) of a posed hand."""
+        """Return the `chosen` vertices (..., N, 3) and all joints (..., 16, 3) of a posed hand, in metres."""
         shaped = self.shaped(betas)
         pose = np.concatenate([global_orient, hand_pose], axis=-1)
         batch = pose.shape[:-1]

@@ -9,13 +9,13 @@ import numpy as np
 from handfit_core.hand_model.data import HandModel
 
 _SUPERSAMPLING: Final = 2
-"""Samples per pixel along either axis"""
+"""Number of samples per pixel along either axis"""
 _SKIN: Final = np.linspace([52, 26, 22], [255, 222, 196], 256).round().astype(np.uint8)
-"""(256, 3) RGB from the dark to full light"""
+"""(256, 3) uint8 RGB: the colors of the skin from the dark to full light"""
 
 
 def drawn_pose(model: HandModel, hand_pose: np.ndarray, size: int) -> np.ndarray:
-    """(size, size, 2) uint8 light and alpha, top row first: a right hand in the pose (45,), radians.
+    """Draw a right hand in the pose (45,), radians: (size, size, 2) uint8 light and alpha, top row first.
 
     Its fingers point up and its palm faces the viewer, who has walked 25 degrees around it, towards its
     thumb, and looks down by 8 degrees.
@@ -44,13 +44,13 @@ def drawn_pose(model: HandModel, hand_pose: np.ndarray, size: int) -> np.ndarray
 
 
 def colored(drawn: np.ndarray) -> np.ndarray:
-    """(..., 2) light and alpha -> (..., 4) RGBA, both uint8."""
+    """Color a drawing of light and alpha (..., 2) as skin: (..., 4) RGBA, both uint8."""
     return np.concatenate([_SKIN[drawn[..., 0]], drawn[..., 1:]], axis=-1)
 
 
 def _lit(points: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Depth, -inf where nothing is, and light 0..1, both (size, size), of the triangles that face the
-    viewer."""
+    """Return the depth, -inf where nothing is, and the light, 0..1, both (size, size), of the triangles that
+    face the viewer."""
     sides = points[faces[:, 1:]] - points[faces[:, :1]]
     flat = np.cross(sides[:, 0], sides[:, 1])
     normals = np.zeros_like(points)
@@ -86,8 +86,8 @@ def _lit(points: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndarray, 
 
 
 def _hidden(depth: np.ndarray, reach: float) -> np.ndarray:
-    """Ambient occlusion, 0..1, of the shape of `depth`: the share of each place's light that nearer surfaces
-    within `reach` pixels take."""
+    """Return the ambient occlusion, 0..1, of the shape of `depth`: the share of each place's light that
+    nearer surfaces within `reach` pixels take."""
     taken, steps = np.zeros_like(depth), 0
     for part in (0.35, 0.7, 1.0):
         for angle in np.arange(8) * np.pi / 4.0 + part:

@@ -35,11 +35,11 @@ _SUFFIXES: Final = (".npz", ".pkl")
 
 
 def load_model(model: str | os.PathLike[str] | None, side: Side) -> HandModel:
-    """The hand model of one side.
+    """Load the hand model of one side.
 
-    `model` is None or "open-hand" for the bundled hand; a `.npz` or MANO `.pkl` file of that side;
-    or a folder that holds MANO_RIGHT and MANO_LEFT (`.npz` or `.pkl`). Given one side's file for
-    the other side, its neighbour `MANO_LEFT`/`MANO_RIGHT` is used if it exists.
+    `model` is None or "open-hand" for the bundled hand; a `.npz` or MANO `.pkl` file of that side; or a
+    folder that holds MANO_RIGHT and MANO_LEFT (`.npz` or `.pkl`). Given one side's file for the other side,
+    its neighbour `MANO_LEFT`/`MANO_RIGHT` is used if it exists.
 
     Raises HandModelError.
     """
@@ -67,8 +67,8 @@ def load_model(model: str | os.PathLike[str] | None, side: Side) -> HandModel:
 
 
 def kept_model(model: str, side: Side) -> HandModel:
-    """`load_model`, cached: the same object every time, until its file changes; a slider's step or an edit
-    while the artist drags must not read a file.
+    """Load a model as `load_model` does, but cached: the same object every time, until its file changes; a
+    slider's step or an edit while the artist drags must not read a file.
 
     Raises HandModelError.
     """
@@ -85,7 +85,7 @@ def _kept(model: str, side: Side, _stamp: tuple[int, int, int]) -> HandModel:
 
 
 def file_of_side(path: Path, side: Side) -> Path:
-    """The file of one side in a folder, or beside a file of the other side."""
+    """Return the file of one side in a folder, or beside a file of the other side."""
     if path.is_dir():
         if found := _mano_files(path, side, _SUFFIXES):
             return found[0]
@@ -98,7 +98,8 @@ def file_of_side(path: Path, side: Side) -> Path:
 
 
 def files_of_model(path: Path) -> list[Path]:
-    """The files that `load_model` may read of a path: those of both sides, as far as they are there."""
+    """Return the files that `load_model` may read for a path: those of both sides, as far as they are
+    there."""
     found: dict[Path, None] = {}
     for side in SIDES:
         with contextlib.suppress(HandModelError, OSError, ValueError):
@@ -112,7 +113,7 @@ def _mano_files(folder: Path, side: Side, suffixes: tuple[str, ...]) -> list[Pat
 
 
 def read_model(path: Path) -> HandModel:
-    """One file of either format; its side is what it is. Raises HandModelError."""
+    """Read one model file of either format, whichever side it is of. Raises HandModelError."""
     if path.suffix.lower() == ".pkl":
         # Imported late, as the open hand does not need it.
         from handfit_core.hand_model.mano_pickle import load_mano_pickle
@@ -178,7 +179,8 @@ def save_model_npz(
 
 
 def _save_npz_reproducibly(path: Path, arrays: dict[str, Any]) -> None:
-    """`np.savez_compressed` stamps the time into the zip; this one does not."""
+    """Write arrays as `np.savez_compressed` does, but without stamping the time into the zip, so that the
+    same arrays give the same bytes."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for name, array in arrays.items():
             info = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))

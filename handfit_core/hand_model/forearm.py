@@ -18,7 +18,8 @@ from handfit_core.geometry.rotations import smoothstep
 from handfit_core.hand_model.data import HandModel
 
 Wrist = Literal["open", "cap", "forearm"]
-"""How a mesh ends: as its model does, or closed by a cap or a piece of forearm, of as many vertices"""
+"""The end of a mesh at the wrist: open, as the model has it, or closed by a cap or a piece of forearm, of as
+many vertices"""
 
 _RINGS: Final = (
     # Distance behind the edge, in parts of the length from the middle knuckle to it; breadth and thickness,
@@ -42,13 +43,13 @@ _CAP: Final = 0.1
 """Height of the cap, in parts of the length from the middle knuckle to the edge"""
 
 _BEND: Final = (-0.06, 0.26)
-"""Where the wrist's skin bends: distances behind the wrist joint, in parts of the length from the middle
-knuckle to it"""
+"""Distances behind the wrist joint between which the wrist's skin bends, in parts of the length from the
+middle knuckle to the joint"""
 
 
 def wrist_ring(polygons: np.ndarray) -> np.ndarray:
-    """The vertices (R,) of a mesh's open edge, in the order in which its polygons (P, 3 or 4) walk it; empty
-    where the mesh has no open edge, or more than one."""
+    """Return the vertices (R,) of a mesh's open edge, in the order in which its polygons (P, 3 or 4) walk it;
+    empty where the mesh has no open edge, or more than one."""
     start, end = polygons.ravel(), np.roll(polygons, -1, axis=1).ravel()
     count = int(polygons.max()) + 1
     # An open edge is one that no neighbour walks the other way.
@@ -65,7 +66,7 @@ def wrist_ring(polygons: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def with_wrist(model: HandModel, wrist: Wrist) -> HandModel:
-    """The model with that end; a cap and a forearm differ only in where their vertices are.
+    """Return the model with that end; a cap and a forearm differ only in where their vertices are.
 
     The first V vertices and P polygons are the model's own; those that follow move with the wrist joint.
     Joints, fingertips and keypoints are the model's, the digest is not. Models without a single open edge,
@@ -79,7 +80,8 @@ def with_wrist(model: HandModel, wrist: Wrist) -> HandModel:
     knuckle = model.joint_regressor[FINGER_JOINTS["middle"][0]]
 
     def extended(values: np.ndarray) -> np.ndarray:
-        """(V, 3, ...) -> (V + N, 3, ...), of the vertices or of a direction in which they move"""
+        """Extend values of the vertices, or of a direction in which they move, from (V, 3, ...) to
+        (V + N, 3, ...)."""
         added = _behind(values[ring], np.tensordot(knuckle, values, 1), wrist)
         return np.concatenate([values, added])
 
@@ -105,8 +107,8 @@ def with_wrist(model: HandModel, wrist: Wrist) -> HandModel:
 
 
 def forearm_share(model: HandModel) -> np.ndarray:
-    """(V,) the part of the wrist's skin weight that a forearm bone takes over, 0..1: from 0 at the wrist to 1
-    beyond it."""
+    """Return the part (V,) of the wrist's skin weight that a forearm bone takes over, 0..1: from 0 at the
+    wrist to 1 beyond it."""
     joints = model.shaped().joints
     along = joints[0] - joints[FINGER_JOINTS["middle"][0]]
     behind = (model.v_template - joints[0]) @ along / (along @ along)
@@ -114,8 +116,8 @@ def forearm_share(model: HandModel) -> np.ndarray:
 
 
 def _behind(edge: np.ndarray, knuckle: np.ndarray, wrist: Wrist) -> np.ndarray:
-    """The added vertices (N, 3, ...) from the edge's (R, 3, ...) and the middle knuckle (3, ...), all in the
-    model frame: ring after ring, and the middle of the end."""
+    """Return the added vertices (N, 3, ...) from the edge's (R, 3, ...) and the middle knuckle (3, ...), all
+    in metres in the model frame: ring after ring, and the middle of the end."""
     around = np.arange(len(edge)) * 2.0 * np.pi / len(edge)
     waves = np.stack([np.cos(around), np.sin(around)], axis=1)
     centre = edge.mean(axis=0)
@@ -140,7 +142,8 @@ def _behind(edge: np.ndarray, knuckle: np.ndarray, wrist: Wrist) -> np.ndarray:
 
 
 def _polygons(ring: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The sides' quads (S, 4) and the end's triangles (R, 3); `count` is the first added vertex's number."""
+    """Return the polygons that close the mesh: quads (S, 4) of the sides and triangles (R, 3) of the end;
+    `count` is the first added vertex's number."""
     size = len(ring)
     rings = np.concatenate([ring[None], count + np.arange(len(_RINGS) * size).reshape(-1, size)])
     ahead = np.roll(rings, -1, axis=1)
@@ -150,8 +153,8 @@ def _polygons(ring: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _texture(model: HandModel, ring: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Texture coordinates (U, 2) and their indices per corner of the closed mesh's polygons: the picture goes
-    on beyond the edge, as far as there is any."""
+    """Return the texture coordinates (U, 2) of the closed mesh, and their indices per corner of its polygons:
+    the picture goes on beyond the edge, as far as there is any."""
     uv, uv_faces = model.uv, model.uv_faces
     assert uv is not None
     assert uv_faces is not None
@@ -181,10 +184,11 @@ def _texture(model: HandModel, ring: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _triangles(sides: np.ndarray, lid: np.ndarray) -> np.ndarray:
-    """(2 S + R, 3) from what `_polygons` gives."""
+    """Split the sides' quads and join them to the lid's triangles, as `_polygons` gives them:
+    (2 S + R, 3)."""
     return np.concatenate([sides[:, [0, 1, 2]], sides[:, [0, 2, 3]], lid])
 
 
 def _quads(sides: np.ndarray, lid: np.ndarray) -> np.ndarray:
-    """(S + R / 2, 4): two neighbours of the lid's triangles make a quad."""
+    """Join two neighbours of the lid's triangles to a quad each, after the sides' quads: (S + R / 2, 4)."""
     return np.concatenate([sides, np.hstack([lid[1::2, :2], lid[::2, 1:]])])

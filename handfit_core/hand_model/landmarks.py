@@ -1,9 +1,9 @@
-"""Where on a hand model the detector sees its 21 keypoints.
+"""The places on a hand model where the detector sees its 21 keypoints.
 
-A landmark is not a joint: MediaPipe's points lie where its annotators clicked, MANO's joints inside the
-hand. Each landmark is attached to one bone, at an offset from the model's own keypoint. Offsets
-are kept in anatomical axes (twist, spread, bend: back along the bone, towards the back of the hand, and
-across) in parts of the hand's length, so that one calibration serves every model in MANO's format.
+A landmark is not a joint: MediaPipe's points lie where its annotators clicked, MANO's joints inside the hand.
+Each landmark is attached to one bone, at an offset from the model's own keypoint. Offsets are kept in
+anatomical axes (twist, spread, bend: back along the bone, towards the back of the hand, and across) in parts
+of the hand's length, so that one calibration serves every model in MANO's format.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ class Landmarks:
     of the length from wrist to middle knuckle"""
 
     def in_metres(self, model: HandModel) -> np.ndarray:
-        """(21, 3) offsets in metres, in the bones' anatomical axes of `model` (the wrist's: model frame)."""
+        """Return the offsets (21, 3) in metres, in the bones' anatomical axes of `model` (the wrist's: in the
+        model frame)."""
         offsets = self.offsets * hand_length(model)
         if model.side == "left":
             # In a mirror image what points along the bone and towards its back stays, what points across
@@ -39,22 +40,24 @@ class Landmarks:
 
 
 def hand_length(model: HandModel) -> float:
-    """Wrist to middle knuckle of the mean shape, metres."""
+    """Return the metres from the wrist to the middle knuckle of a model's mean shape."""
     joints = model.shaped().joints
     return float(np.linalg.norm(joints[FINGER_JOINTS["middle"][0]] - joints[0]))
 
 
 def bone_axes(model: HandModel) -> np.ndarray:
-    """(16, 3, 3) anatomical axes of every joint in the flat pose, in columns; the wrist's: model frame."""
+    """Return the anatomical axes of every joint in the flat pose as columns (16, 3, 3); those of the wrist
+    are the model frame's."""
     return np.concatenate([np.eye(3)[None], anatomical_axes(model)])
 
 
 NO_OFFSETS: Final = Landmarks(np.zeros((NUM_KEYPOINTS, 3)))
-"""Landmarks that are the model's own keypoints"""
+"""Landmarks without offsets, which are the model's own keypoints"""
 
 
 @lru_cache(maxsize=1)
 def detector_landmarks() -> Landmarks:
-    """Where MediaPipe's hand landmarker sees its points, calibrated by the training at commit 2ca2c99."""
+    """Load the landmarks that MediaPipe's hand landmarker sees, as calibrated by the training at commit
+    2ca2c99."""
     with np.load(LANDMARKS_FILE, allow_pickle=False) as arrays:
         return Landmarks(arrays["offsets"])

@@ -1,4 +1,4 @@
-"""How long a hand is, and the shape of a hand of a given length. NumPy only."""
+"""The length of a hand, and the shape of a hand of a given length. NumPy only."""
 
 from __future__ import annotations
 
@@ -16,30 +16,32 @@ log = logging.getLogger("handfit")
 
 
 def flat_hand_length(model: HandModel, betas: np.ndarray | None = None) -> float:
-    """Metres from the wrist joint to the tip of the middle finger of the flat hand of shape betas (10,);
-    None: the mean shape."""
+    """Return the metres from the wrist joint to the tip of the middle finger of a model's flat hand of shape
+    `betas` (10,); None: the mean shape."""
     shaped = model.shaped(betas)
     return float(np.linalg.norm(shaped.tips[_MIDDLE] - shaped.joints[0]))
 
 
 def length_rates(model: HandModel, betas: np.ndarray) -> np.ndarray:
-    """(10,) metres by which the length of a hand of shape betas (10,) grows with each of them."""
+    """Return the metres (10,) by which the length of a hand of shape `betas` (10,) grows with each of
+    them."""
     shaped = model.shaped(betas)
     along = shaped.tips[_MIDDLE] - shaped.joints[0]
     return _span_by_betas(model).T @ (along / max(float(np.linalg.norm(along)), 1e-9))
 
 
 def _span_by_betas(model: HandModel) -> np.ndarray:
-    """(3, 10) derivatives of the vector from the wrist to the tip."""
+    """Return the derivatives (3, 10), in metres, by betas of the vector from the wrist joint to the tip of
+    the middle finger."""
     at_wrist = np.einsum("v,vck->ck", model.joint_regressor[0], model.shapedirs)
     return model.shapedirs[model.tip_vertices[_MIDDLE]] - at_wrist
 
 
 def betas_of_length(model: HandModel, length: float) -> np.ndarray:
-    """(10,) the shape nearest to the mean whose flat hand has that length in metres.
+    """Return the shape (10,) nearest to the mean whose flat hand has that length in metres.
 
-    Its norm tells how far from the mean that is, in standard deviations. A model whose shapes do not
-    change the length gives zeros.
+    Its norm tells how far from the mean that is, in standard deviations. A model whose shapes do not change
+    the length gives zeros.
     """
     betas = np.zeros(NUM_BETAS)
     for _ in range(8):
@@ -53,8 +55,8 @@ def betas_of_length(model: HandModel, length: float) -> np.ndarray:
 
 
 def betas_of_measured(model: HandModel, length: float) -> np.ndarray:
-    """(10,) the shape nearest to the mean that has that length in metres, no farther from the mean than
-    meshes keep their form."""
+    """Return the shape (10,) nearest to the mean that has that length in metres, no farther from the mean
+    than meshes keep their form."""
     betas = betas_of_length(model, length)
     # The open hand's mesh begins to fold six and a half standard deviations from the mean shape.
     return betas * min(1.0, 6.0 / max(float(np.linalg.norm(betas)), 1e-9))

@@ -79,7 +79,8 @@ def load_mano_pickle(path: str | os.PathLike[str]) -> HandModel:
 
 
 def _arrays_and_side(content: Any) -> tuple[dict[str, np.ndarray], Side]:
-    """The arrays of a model, named as `checked_model` takes them. Raises Unfit."""
+    """Return the arrays of a model, named as `checked_model` takes them, and its side. Raises Unfit where the
+    file does not hold MANO's arrays."""
     if not isinstance(content, dict):
         raise Unfit("this pickle holds no hand model")
     if missing := [key for key in _REQUIRED if key not in content]:
@@ -111,13 +112,13 @@ def _arrays_and_side(content: Any) -> tuple[dict[str, np.ndarray], Side]:
 
 
 def _has_left_fault(v_template: np.ndarray, shapedirs: np.ndarray) -> bool:
-    """True if a left model's shape directions carry the right hand's sign in x (smplx issue 48).
+    """Tell whether a left model's shape directions carry the right hand's sign in x (smplx issue 48).
 
-    Others compare with the right file; one file is enough. Betas are independent with unit variance,
-    so the sum over directions of (relative growth along x) * (relative growth across x) is the
-    covariance of hand length with hand breadth and thickness among the people that the model spans.
-    Large hands are large in all of them: it is positive. The fault negates all x components, hence
-    exactly this sum and nothing else. Shapes that do not correlate either way are left alone.
+    Others compare with the right file; one file is enough. Betas are independent with unit variance, so the
+    sum over directions of (relative growth along x) * (relative growth across x) is the covariance of hand
+    length with hand breadth and thickness among the people that the model spans. Large hands are large in all
+    of them: it is positive. The fault negates all x components, hence exactly this sum and nothing else.
+    Shapes that do not correlate either way are left alone.
     """
     if shapedirs.ndim != 3 or shapedirs.shape[:2] != v_template.shape:
         return False  # checked_model says so with the shapes

@@ -1,4 +1,4 @@
-"""A hand's shape and poses over time: what solvers, readers of other programs' poses and re-fitting give."""
+"""A hand's shape and poses over time, as solvers, readers of other programs' poses and re-fitting give it."""
 
 from __future__ import annotations
 
@@ -25,35 +25,36 @@ class HandMotion:
 
     side: Side = value(one_of(*SIDES))
     betas: np.ndarray = array(NUM_BETAS, finite="all", most=_LARGEST_BETA)
-    """One shape for all frames"""
+    """(10,) shape coefficients, which are equal in all frames"""
     global_orient: np.ndarray = array("T", 3, finite="present")
-    """radians"""
+    """(T, 3) radians, axis-angle: the root's rotation about the wrist joint"""
     hand_pose: np.ndarray = array("T", 45, finite="present")
-    """radians"""
+    """(T, 45) radians, axis-angle: the rotations of the 15 finger joints"""
     transl: np.ndarray = array("T", 3, finite="present")
-    """metres; the wrist lies at the shaped model's wrist + transl"""
+    """(T, 3) metres; the wrist lies at the shaped model's wrist + transl"""
     _: KW_ONLY
     doubtful: np.ndarray | None = array("T", kind="b", default=None)
-    """Frames whose pose may well be wrong; None: nobody looked"""
+    """(T,) bool: true for frames whose pose may well be wrong; None where nobody looked"""
     expected_error: np.ndarray | None = array("T", len(FINGERS), default=None)
-    """metres that each finger, thumb first, is likely to be off once the hand is laid over the true
+    """(T, 5) metres that each finger, thumb first, is likely to be off once the hand is laid over the true
     one; NaN where nobody can tell, as where a person has corrected the pose, or in all frames, where the
     keypoints are of a source for which that is not known; None: nobody looked"""
 
     @property
     def pose(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`global_orient`, `hand_pose` and `transl`."""
+        """The pose in all frames: `global_orient`, `hand_pose` and `transl`."""
         return self.global_orient, self.hand_pose, self.transl
 
     @property
     def present(self) -> np.ndarray:
-        """(T,) bool: frames with a hand."""
+        """(T,) bool: true in frames with a hand."""
         return np.logical_and.reduce([np.isfinite(rows).all(axis=1) for rows in self.pose])
 
     def posed_at(self, there: np.ndarray) -> Self:
-        """The hand with its pose in those of its frames (T,) bool alone."""
+        """Return the hand with its pose only in the frames that `there` (T,) bool marks, and absent in all
+        others."""
         return self.with_pose(*(np.where(there[:, None], rows, np.nan) for rows in self.pose))
 
     def with_pose(self, *pose: np.ndarray) -> Self:
-        """The hand with another `pose`."""
+        """Return the hand with another pose: `global_orient`, `hand_pose` and `transl`."""
         return replace(self, **dict(zip(POSE_ARRAYS, pose, strict=True)))

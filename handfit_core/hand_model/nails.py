@@ -1,4 +1,4 @@
-"""Which polygons of a hand model are fingernails."""
+"""The polygons of a hand model that are fingernails."""
 
 from __future__ import annotations
 
@@ -16,11 +16,13 @@ _OPEN_HAND_NAILS: Final = (
     *(542, 543, 544, 545, 546, 547, 970, 971, 1122, 1123),
     *(728, 729, 730, 731, 732, 733, 1008, 1009, 1160, 1161),  # little finger
 )
-"""Quads of both open hands: MakeHuman models nails as plates in a groove, and its quads keep their order"""
+"""Numbers of the quads that are nails on both open hands: MakeHuman models nails as plates in a groove, and
+its quads keep their order"""
 
 
 def nail_polygons(model: HandModel) -> np.ndarray:
-    """(P,) bool per polygon. Only the open hand has nails: in MANO's mesh no faces follow their outline."""
+    """Tell which polygons of a model are fingernails: (P,) bool. Only the open hand has nails: in MANO's mesh
+    no faces follow their outline."""
     nails = np.zeros(len(model.polygons), dtype=bool)
     if model.name == OPEN_HAND and model.quads is not None:
         nails[list(_OPEN_HAND_NAILS)] = True

@@ -1,4 +1,4 @@
-"""Poses of fingers that belong to no rig: the ready ones, and those that artists save."""
+"""Poses of fingers that belong to no rig: those that come with the add-on, and those that artists save."""
 
 from __future__ import annotations
 
@@ -16,42 +16,44 @@ from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.axes import REST_FROM_MODEL, mirrored_pose
 
 FILE: Final = Path(__file__).parent / "data" / "poses.npz"
-"""The ready poses, which `scripts/ready_poses.py` at commit 2ca2c99 made"""
+"""The file of the ready poses, which `scripts/ready_poses.py` at commit 2ca2c99 made"""
 _ANGLES: Final = 3 * (NUM_JOINTS - 1)
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """How the fingers of a hand are bent."""
+    """A pose of a hand's fingers, which fits any hand of either side."""
 
     side: Side
     hand_pose: np.ndarray
-    """(45,) axis-angle in radians, as a take has it"""
+    """(45,) axis-angle in radians, as in a take"""
 
     def on(self, side: Side) -> np.ndarray:
-        """(45,) the hand_pose of a hand of that side: mirrored for the other one."""
+        """Return the hand_pose (45,), in radians, of a hand of that side: mirrored for the other one."""
         if side == self.side:
             return self.hand_pose
         return mirrored_pose(np.zeros(3), self.hand_pose)[1]
 
     def turns(self, side: Side) -> np.ndarray:
-        """(16, 3, 3) each joint's rotation in rest space on a hand of that side; the wrist's is none."""
+        """Return each joint's rotation in rest space (16, 3, 3) on a hand of that side; the wrist does not
+        turn."""
         fingers = rotvec_to_rotmat(self.on(side).reshape(-1, 3))
         return np.concatenate([np.eye(3)[None], REST_FROM_MODEL @ fingers @ REST_FROM_MODEL.T])
 
     @classmethod
     def of_turns(cls, side: Side, turns: np.ndarray) -> Pose:
-        """The inverse of `turns`."""
+        """Make a pose from the joints' rotations (16, 3, 3) on a hand of that side: the inverse of
+        `turns`."""
         fingers = REST_FROM_MODEL.T @ turns[1:] @ REST_FROM_MODEL
         return cls(side, rotmat_to_rotvec(fingers).reshape(_ANGLES))
 
     def values(self) -> dict[str, Any]:
-        """The pose as a dict of plain values, which a custom property of Blender's can hold."""
+        """Return the pose as a dict of plain values, which a custom property of Blender's can hold."""
         return {"side": self.side, "hand_pose": self.hand_pose.tolist()}
 
     @classmethod
     def of_values(cls, values: Any) -> Pose:
-        """The inverse of `values`. Raises HandModelError for whatever else a file may hold."""
+        """Read the dict that `values` made. Raises HandModelError for whatever else a file may hold."""
         if not isinstance(values, Mapping) or values.get("side") not in SIDES:
             raise HandModelError("this is no pose of a hand, which names its side, left or right")
         numbers = values.get("hand_pose")
@@ -72,12 +74,12 @@ class ReadyPose:
     name: str
     pose: Pose
     drawn: np.ndarray
-    """(S, S, 2) uint8 as `drawing.drawn_pose` gives it"""
+    """(S, S, 2) uint8 light and alpha: the pose's picture, as `drawing.drawn_pose` gives it"""
 
 
 @lru_cache(maxsize=1)
 def ready_poses() -> dict[str, ReadyPose]:
-    """The ready poses of a right hand by name, in the order in which they are shown."""
+    """Load the ready poses of a right hand by name, in the order in which they are shown."""
     with np.load(FILE, allow_pickle=False) as arrays:
         parts = [arrays[name] for name in ("names", "hand_poses", "drawn")]
     return {

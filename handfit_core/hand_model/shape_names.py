@@ -19,8 +19,8 @@ _LONG_FINGERS: Final = tuple(finger for finger in FINGERS if finger != "thumb")
 
 
 def shape_names(model: HandModel) -> tuple[str | None, ...]:
-    """For each of the (10,) betas what its positive direction does, as "Longer Fingers"; None where no single
-    effect dominates, and where another coefficient does the same more purely."""
+    """Return for each of the ten betas the name of what its positive direction does, such as "Longer
+    Fingers"; None where no single effect dominates, and where another coefficient does so more purely."""
     shares = effect_shares(model)
     names: list[str | None] = [None] * NUM_BETAS
     for beta, row in enumerate(shares):
@@ -34,9 +34,9 @@ def shape_names(model: HandModel) -> tuple[str | None, ...]:
 
 
 def effect_shares(model: HandModel) -> tuple[dict[str, float], ...]:
-    """For each of the betas and each effect the share of the vertices' movement (sum of squares) which that
-    effect alone explains, -1..1; negative where the beta does the opposite. Empty for a beta that moves
-    nothing.
+    """Return for each of the betas, and by the name of each effect, the share of the vertices' movement (sum
+    of squares) which that effect alone explains, -1..1; negative where the beta does the opposite. Empty for
+    a beta that moves nothing.
 
     Where the hand is placed does not count: what a movement has in common with a rigid motion of the whole
     hand is taken out first.
@@ -44,7 +44,8 @@ def effect_shares(model: HandModel) -> tuple[dict[str, float], ...]:
     placing = np.linalg.qr(np.stack([m.ravel() for m in _rigid_motions(model)], axis=1))[0]
 
     def shape_only(movement: np.ndarray) -> np.ndarray:
-        """(V * 3,) the movement (V, 3) without its rigid part, of length 1; zeros where nothing is left."""
+        """Take the rigid part out of a `movement` (V, 3), and return the rest (V * 3,) with length 1; zeros
+        where nothing is left."""
         flat = movement.ravel()
         rest = flat - placing @ (placing.T @ flat)
         length = float(np.linalg.norm(rest))
@@ -72,14 +73,14 @@ def _worded(effect: str, *, grows: bool) -> str:
 
 
 def _rigid_motions(model: HandModel) -> Iterator[np.ndarray]:
-    """The six (V, 3) movements of a hand that keeps its shape."""
+    """Yield the six movements (V, 3) of a hand that keeps its shape: along three axes, and about them."""
     for axis in np.eye(3):
         yield np.broadcast_to(axis, model.v_template.shape)
         yield np.cross(axis, model.v_template)
 
 
 def _effects(model: HandModel) -> Iterator[tuple[str, np.ndarray]]:
-    """The name and the (V, 3) movement of each effect, whose length does not matter."""
+    """Yield the name and the movement (V, 3) of each effect, whose length does not matter."""
     shaped = model.shaped()
     x, wrist = shaped.vertices, shaped.joints[0]
     bones = {
@@ -116,8 +117,8 @@ def _along(axis: np.ndarray, movement: np.ndarray) -> np.ndarray:
 
 
 def _grown(model: HandModel, finger: str, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(V, 3) twice: a finger of joints and tip (4, 3) stretched along its bones, from its base, and grown
-    away from them."""
+    """Return two movements (V, 3) of a finger whose joints and tip are `points` (4, 3): stretched along its
+    bones from its base, and grown away from them."""
     longer, thicker = np.zeros_like(model.v_template), np.zeros_like(model.v_template)
     for joint, here, beyond in zip(FINGER_JOINTS[finger], points[:-1], points[1:], strict=True):
         bone = (beyond - here) / np.linalg.norm(beyond - here)
@@ -129,7 +130,8 @@ def _grown(model: HandModel, finger: str, points: np.ndarray) -> tuple[np.ndarra
 
 
 def _spread(model: HandModel, bones: dict[str, np.ndarray]) -> np.ndarray:
-    """(V, 3) the long fingers turned apart in the palm's plane, the outer ones most."""
+    """Return the movement (V, 3) that turns the long fingers apart in the palm's plane, the outer ones
+    most."""
     places = np.array([bones[finger][0, 2] for finger in _LONG_FINGERS])
     moved = np.zeros_like(model.v_template)
     for finger, place in zip(_LONG_FINGERS, places - places.mean(), strict=True):

@@ -26,14 +26,15 @@ NUM_BONES: Final = 19
 """15 bones of the fingers, three each as in `skeleton.FINGERS`, the thumb's metacarpal among them; then the
 metacarpals of index, middle, ring and little finger"""
 PALM: Final = 15
-"""The first of the bones that move with the wrist"""
+"""Number of the first of the bones that move with the wrist"""
 FINGER_OF_BONE: Final = np.array([*(b // 3 for b in range(PALM)), 1, 2, 3, 4])
 LEVEL_OF_BONE: Final = np.array([*(b % 3 for b in range(PALM)), 3, 3, 3, 3])
-"""Which of `chain.Posed`'s frames carries each bone: the finger's joints, and 3 for the root"""
+"""(19,) the index, among the frames of `chain.Posed`, of the one that carries each bone: 0 to 2 for the
+finger's joints, and 3 for the root"""
 
 
 def _may_touch(first: int, second: int) -> bool:
-    """True if two parts can come into contact; parts that are joined cannot."""
+    """Tell whether two parts can come into contact; parts that are joined cannot."""
     if second >= PALM:
         # The thumb's root and the fingers' first bones are joined to the palm.
         return first < PALM and first % 3 > 0
@@ -44,24 +45,25 @@ def _may_touch(first: int, second: int) -> bool:
 PAIRS: Final = np.array(
     [(i, j) for i in range(NUM_BONES) for j in range(i + 1, NUM_BONES) if _may_touch(i, j)]
 )
-"""(P, 2) bones that can touch, the lower first"""
+"""(P, 2) the pairs of bones that can touch, the lower number first"""
 _COMPRESSION: Final = np.select(
     [(PAIRS == (1, PALM)).all(axis=1), (PAIRS[:, 0] == 1) & (PAIRS[:, 1] > PALM)],
     # How the web between thumb and index finger, and the palm in a fist around the thumb, are compressed
     [-0.0085, -0.006],
     0.0,
 )
-"""(P,) metres of compression that count as no overlap, with the sign of a gap: negative"""
+"""(P,) metres, negative as gaps of overlapping skins are: the compression of each pair that counts as no
+overlap"""
 
 
 @dataclass(frozen=True, eq=False)
 class Capsules:
-    """Tapered capsules of B hands. Metres, in the frame that the hands are in."""
+    """Tapered capsules around the bones of B hands, in metres, in the frame that the hands are in."""
 
     ends: np.ndarray
-    """(B, 19, 2, 3) both ends of the axes, the nearer to the wrist first"""
+    """(B, 19, 2, 3) metres: both ends of the capsules' axes, the end nearer to the wrist first"""
     radii: np.ndarray
-    """(B, 19, 2) at these ends"""
+    """(B, 19, 2) metres: the radii at both ends"""
     rest_gap: np.ndarray
     """(B, P) metres, 0 or less: gaps of `PAIRS` that count as 0. Fingers side by side overlap in the flat
     hand, too, where they leave the palm"""
@@ -69,24 +71,25 @@ class Capsules:
     def of(
         self, hand: np.ndarray, bones: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Ends (K, 2, 3) and radii (K, 2) of first bones, then of second ones, for bones (K, 2) of hands
-        (K,)."""
+        """Return the capsules of pairs of bones (K, 2) of the hands `hand` (K,): ends (K, 2, 3) and radii
+        (K, 2) of the first bones, then of the second ones, in metres."""
         a, b = bones.T
         return self.ends[hand, a], self.radii[hand, a], self.ends[hand, b], self.radii[hand, b]
 
 
 @dataclass(frozen=True, eq=False)
 class Near(Batch):
-    """K pairs of parts, each where they are nearest to each other."""
+    """Pairs of parts of hands, K in all, each with the places where the two are nearest to each other."""
 
     hand: np.ndarray
-    """(K,) rows of the batch"""
+    """(K,) the row of the batch in which each pair's hand stands"""
     bones: np.ndarray
-    """(K, 2) the parts"""
+    """(K, 2) the numbers of the two bones"""
     places: np.ndarray
-    """(K, 2, 3) metres, on the two axes: centres of the spheres that are nearest"""
+    """(K, 2, 3) metres: the places on the two bones' axes, which are the centres of the spheres that are
+    nearest"""
     towards: np.ndarray
-    """(K, 3) unit vectors from the second's to the first's"""
+    """(K, 3) unit vectors from the second bone's place to the first one's"""
     gap: np.ndarray
     """(K,) metres between the skins; negative where they overlap"""
 
@@ -110,16 +113,17 @@ class Surface:
         self._flat, self._flat_dirs = gaps[0], (gaps[1:] - gaps[0]).T
 
     def of(self, betas: np.ndarray, hand_pose: np.ndarray) -> Capsules:
-        """The capsules of B hands whose wrist does not turn: betas (B, 10), hand_pose (B, 45) radians."""
+        """Return the capsules of B hands whose wrist does not turn, of betas (B, 10) and hand_pose (B, 45) in
+        radians."""
         zero = np.zeros((len(betas), 3))
         return self.capsules(self._chain.pose(self._chain.state(betas, zero, hand_pose, zero, zero[:, 0])))
 
     def radii(self, betas: np.ndarray) -> np.ndarray:
-        """(B, 19, 2) metres, at the capsules' ends, of hands of betas (B, 10)."""
+        """Return the radii (B, 19, 2) in metres, at both ends of the capsules, of hands of betas (B, 10)."""
         return self._radii + (self._radius_dirs @ betas.T).transpose(2, 0, 1)
 
     def capsules(self, posed: Posed) -> Capsules:
-        """The capsules of B posed hands; the last ones are cached, as several terms need them."""
+        """Return the capsules of B posed hands; the last ones are cached, as several terms need them."""
         last = self._last  # which another thread may replace
         if last is not None and last[0] is posed:
             return last[1]
@@ -138,14 +142,16 @@ class Surface:
         return found
 
     def depths(self, capsules: Capsules) -> np.ndarray:
-        """(B,) metres of each hand's deepest penetration of two parts; 0 where none overlap."""
+        """Return the metres (B,) by which two parts of each hand penetrate each other at the deepest; 0 where
+        none overlap."""
         near = self.near(capsules)
         deepest = np.zeros(len(capsules.ends))
         np.maximum.at(deepest, near.hand, -near.gap)
         return deepest
 
     def near(self, capsules: Capsules, within: float = 0.0) -> Near:
-        """The pairs whose skins are no farther apart than `within` metres, with gaps beyond `rest_gap`."""
+        """Find the pairs of parts whose skins are no farther apart than `within` metres; gaps are measured
+        beyond `rest_gap`."""
         ends, thick = capsules.ends, capsules.radii.max(axis=-1)
         axis = (ends[:, :, 1] - ends[:, :, 0]) / 2.0
         middle = ends[:, :, 0] + axis
@@ -165,7 +171,8 @@ class Surface:
         return near.select(near.gap < within)
 
     def gaps(self, capsules: Capsules, hand: np.ndarray, pair: np.ndarray) -> Near:
-        """The gaps of pairs (K,), as numbered in `PAIRS`, of hands (K,), however far they are apart."""
+        """Return the gaps of the pairs `pair` (K,), as numbered in `PAIRS`, of the hands `hand` (K,), however
+        far apart they are."""
         if not len(hand):
             return Near(hand, PAIRS[pair], np.empty((0, 2, 3)), np.empty((0, 3)), np.empty(0))
         parts = capsules.of(hand, PAIRS[pair])
@@ -173,10 +180,11 @@ class Surface:
         return Near(hand, PAIRS[pair], places, _towards(places), gap - capsules.rest_gap[hand, pair])
 
     def gaps_at(self, capsules: Capsules, hand: np.ndarray, points: np.ndarray) -> Near:
-        """The gaps between keypoints (K, 2) of hands (K,), which are spheres around joints and in fingertips.
+        """Return the gaps between pairs of keypoints (K, 2) of the hands `hand` (K,), where keypoints are
+        spheres around joints and in fingertips.
 
-        0, as the second one, is the palm where it is nearest to the first. Where the second one is negative,
-        the gap is that between the bones that end at both, where they are nearest to each other.
+        As the second keypoint, 0 is the palm where it is nearest to the first. A negative one means the gap
+        between the bones that end at both keypoints, where they are nearest to each other.
         """
         palm, whole = points[:, 1] == 0, points[:, 1] < 0
         points = np.abs(points)
@@ -198,21 +206,21 @@ class Surface:
 
 
 def _towards(places: np.ndarray) -> np.ndarray:
-    """(K, 3) unit vectors from the second of places (K, 2, 3) to the first."""
+    """Return the unit vectors (K, 3) from the second of two places (K, 2, 3) to the first."""
     return units(places[:, 0] - places[:, 1])
 
 
 @lru_cache(maxsize=8)
 def surface_of(model: HandModel) -> Surface:
-    """The surface of a model, cached."""
+    """Return the surface of a model, which is cached."""
     return Surface(model)
 
 
 def nearest_along(
     ends_a: np.ndarray, radii_a: np.ndarray, ends_b: np.ndarray, radii_b: np.ndarray
 ) -> np.ndarray:
-    """(K, 2) how far along their axes, 0..1, capsules are nearest to each other: ends (K, 2, 3) and radii
-    (K, 2) of both."""
+    """Return how far along their axes, 0..1, pairs of capsules with these ends (K, 2, 3) and radii (K, 2) are
+    nearest to each other: (K, 2)."""
     a, b = _Axis.of(ends_a, radii_a), _Axis.of(ends_b, radii_b)
     tried = np.empty((5, len(ends_a), 2))
     tried[:2, :, 0], tried[2:4, :, 1] = ((0.0,), (1.0,)), ((0.0,), (1.0,))
@@ -227,16 +235,16 @@ def nearest_along(
 
 @dataclass(frozen=True, eq=False)
 class _Axis:
-    """Axes of K capsules."""
+    """The axes of K capsules: where they begin, and how the radius changes along them."""
 
     start: np.ndarray
-    """(K, 3)"""
+    """(K, 3) metres: the beginning of each axis"""
     unit: np.ndarray
-    """(K, 3)"""
+    """(K, 3) unit vectors along the axes"""
     length: np.ndarray
-    """(K,)"""
+    """(K,) metres: the length of each axis"""
     taper: np.ndarray
-    """(K,) by how much the radius grows along them"""
+    """(K,) metres by which the radius grows per metre along the axis"""
 
     @classmethod
     def of(cls, ends: np.ndarray, radii: np.ndarray) -> _Axis:
@@ -246,7 +254,7 @@ class _Axis:
         return cls(ends[:, 0], axis / length[:, None], length, taper)
 
     def nearest(self, points: np.ndarray) -> np.ndarray:
-        """(..., K) how far along, 0..1, the skin is nearest to points (..., K, 3)."""
+        """Return how far along the axes, 0..1, the skin is nearest to points (..., K, 3): (..., K)."""
         off = points - self.start
         foot = dot(off, self.unit)
         height = np.sqrt(np.maximum(dot(off, off) - foot**2, 0.0))
@@ -256,8 +264,8 @@ class _Axis:
 
 @np.errstate(all="ignore")
 def _inner_minimum(first: _Axis, second: _Axis) -> np.ndarray:
-    """(K, 2) how far along both axes the gap would be least if they had no ends; NaN where it is least
-    nowhere, as along parallel ones."""
+    """Return how far along both axes the gap would be least if they had no ends, (K, 2); NaN where it is
+    least nowhere, as along parallel ones."""
     a, b, k, m = first.unit, second.unit, first.taper, second.taper
     off = first.start - second.start
     cos = dot(a, b)
@@ -278,8 +286,8 @@ def _inner_minimum(first: _Axis, second: _Axis) -> np.ndarray:
 def gaps_along(
     ends_a: np.ndarray, radii_a: np.ndarray, ends_b: np.ndarray, radii_b: np.ndarray, along: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Places (..., K, 2, 3) on both axes, `along` (..., K, 2) of them, and the gaps (..., K) between the
-    spheres there."""
+    """Return the places (..., K, 2, 3) that lie `along` (..., K, 2), 0..1, both axes, and the gaps (..., K)
+    in metres between the spheres there."""
     places = np.empty((*along.shape, 3))
     for k, ends in enumerate((ends_a, ends_b)):
         places[..., k, :] = ends[:, 0] + along[..., k, None] * (ends[:, 1] - ends[:, 0])
@@ -290,12 +298,14 @@ def gaps_along(
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a . b of vectors (..., 3): NumPy's sums along so short an axis take several times as long."""
+    """Return the dot products (...,) of vectors (..., 3): NumPy's sums along so short an axis take several
+    times as long."""
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a x b of vectors (..., 3): NumPy's own takes several times as long for a few."""
+    """Return the cross products a x b of vectors (..., 3): NumPy's own takes several times as long for a
+    few."""
     x, y, z = (a[..., i] for i in range(3))
     u, v, w = (b[..., i] for i in range(3))
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
@@ -307,16 +317,17 @@ _BONE_SECTIONS: Final = np.array([(0.1, 0.5), (0.5, 0.9)])
 """Two sections of a finger's bone, in parts of its length, whose skin is measured and extrapolated to its
 ends"""
 _PALM_SECTIONS: Final = np.array([(0.3, 0.65), (0.65, 0.95)])
-"""Two such sections of a metacarpal, from the wrist on"""
+"""Two sections of a metacarpal, in parts of its length from the wrist on, whose skin is measured and
+extrapolated"""
 _METACARPAL: Final = np.array([0.25, 0.85])
 """Parts of the way from the wrist to a knuckle between which the palm's capsules lie: their round ends reach
 farther"""
 
 
 def _measured(model: HandModel, betas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ends (19, 2, 3) in the axes of the bones' frames, from the joint that each starts at (metacarpals: the
-    wrist), and radii (19, 2), metres, of the mesh: of the flat hand's fingers, and of the palm of a fist,
-    where its flesh rises, and where it is touched."""
+    """Measure a model's mesh: return the ends (19, 2, 3) of all bones' capsules in the axes of the bones'
+    frames, from the joint that each starts at (metacarpals: the wrist), and the radii (19, 2), in metres, of
+    the flat hand's fingers, and of the palm of a fist, where its flesh rises, and where it is touched."""
     shaped, axes = model.shaped(betas), bone_axes(model)
     owner = model.weights.argmax(axis=1)
     ends, radii = np.zeros((NUM_BONES, 2, 3)), np.empty((NUM_BONES, 2))
@@ -355,8 +366,8 @@ def _measured(model: HandModel, betas: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _sections(across: np.ndarray, along: np.ndarray, spans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Middles (2, d) and mean radii (2,) of the skin (N, d) in two spans of a bone, `along` (N,) of its
-    length."""
+    """Return the middles (2, d) and the mean radii (2,) of the skin in two `spans` of a bone, from its
+    vertices `across` (N, d) and how far `along` (N,) the bone they lie, in parts of its length."""
     # A model with few vertices may have none there; a bone without any skin gets a line.
     every = across if len(across) else np.zeros((1, across.shape[1]))
     parts = [across[(along >= first) & (along < last)] for first, last in spans]
@@ -366,7 +377,8 @@ def _sections(across: np.ndarray, along: np.ndarray, spans: np.ndarray) -> tuple
 
 
 def _carried_on(values: np.ndarray, spans: np.ndarray, to: np.ndarray) -> np.ndarray:
-    """Values (2, ...) of the middles of two spans, at other places (2,)."""
+    """Extrapolate values (2, ...), which belong to the middles of two spans, to the places `to` (2,) along
+    the bone."""
     first, second = spans.mean(axis=1)
     slope = ((to - first) / (second - first)).reshape(2, *[1] * (values.ndim - 1))
     return values[0] + slope * (values[1] - values[0])

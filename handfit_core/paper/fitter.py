@@ -31,55 +31,57 @@ from handfit_core.paper.settings import PAPER
 
 @dataclass(frozen=True)
 class PaperOptions:
-    """One experiment of the paper's table, or a variation of one."""
+    """The options of one experiment of the paper's table, or of a variation of one."""
 
     title: str
-    """For lists, in title case"""
+    """The experiment's name as lists show it, in title case"""
     description: str
-    """One line for those who choose"""
+    """One line about the experiment, for those who choose among several"""
     method: str
-    """scipy's name: L-BFGS-B or BFGS"""
+    """The name of scipy's minimiser: L-BFGS-B or BFGS"""
     loss: str
-    """mse, geman_mcclure or huber"""
+    """The name of the loss in `terms`: mse, geman_mcclure or huber"""
     tips: bool
-    """count the fingertips again, with `tip_weight`"""
+    """True if the fingertips count again, with `tip_weight`"""
     anatomical_stage: bool = False
-    """a second stage with joint limits and the 2D error only"""
+    """True if a second stage follows, with joint limits and the 2D error only"""
     pose_prior: bool = False
-    """pull towards a relaxed hand where the keypoints do not say; not in the paper"""
+    """True if a pull towards a relaxed hand acts where the keypoints do not say; not in the paper"""
     warm_start: bool = False
-    """start from the frame before, not from the flat hand; not in the paper"""
+    """True if each frame starts from the frame before, not from the flat hand; not in the paper"""
     camera_stage: bool = False
-    """a last stage through the camera (`through_camera`); needs the prior; not in the paper"""
+    """True if a last stage through the camera (`terms.refine`) follows; needs the prior; not in the paper"""
 
 
 @dataclass(frozen=True, eq=False)
 class FrameFit:
-    """One hand in one picture, up to the camera."""
+    """The fit of one hand in one picture, still without a camera."""
 
     betas: np.ndarray
-    """(10,)"""
+    """(10,) shape coefficients of the hand model"""
     global_orient: np.ndarray
-    """(3,) radians, in the aligned frame (near the model's own)"""
+    """(3,) radians, axis-angle: the root rotation in the aligned frame (near the model's own)"""
     hand_pose: np.ndarray
-    """(45,) radians"""
+    """(45,) radians, axis-angle: the fingers' pose relative to the flat hand"""
     to_model: Similarity
-    """pixels (x right, y down, z away) -> metres in the aligned frame"""
+    """The alignment, from pixels (x right, y down, z away) to metres in the aligned frame"""
 
     @property
     def root_rotation(self) -> np.ndarray:
-        """(3,) root rotation towards the picture's axes, radians: alignment inverted, then global_orient."""
+        """(3,) radians, axis-angle: the root rotation towards the picture's axes, alignment inverted, then
+        global_orient."""
         back = self.to_model.inverse().rotation
         return rotmat_to_rotvec(back @ rotvec_to_rotmat(self.global_orient))
 
     def in_picture(self, points: np.ndarray) -> np.ndarray:
-        """(..., 3) points of the fitted model, metres in the aligned frame -> pixels with depth."""
+        """Take points (..., 3) of the fitted model, metres in the aligned frame, to pixels with depth."""
         return self.to_model.inverse().apply(points)
 
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Torch's arrays are tiny here: threads only wait for each other, many times slower on a busy machine."""
+    """Have torch use one thread: its arrays are tiny here, so that threads would only wait for each other,
+    many times slower on a busy machine."""
     import torch
 
     before = torch.get_num_threads()
@@ -91,10 +93,11 @@ def one_thread() -> Iterator[None]:
 
 
 def normalise(keypoints: np.ndarray, rest_keypoints: np.ndarray) -> Similarity:
-    """Steps 1 and 2 of the paper: (21, 3) detected keypoints in pixels -> onto the model's (21, 3).
+    """Align detected keypoints (21, 3), in pixels, with the model's (21, 3) in metres, as steps 1 and 2 of
+    the paper do.
 
-    The scale is |wrist - index knuckle| of the model over the target's; rotation and translation are
-    the rigid least-squares fit of the six palm points.
+    The scale is |wrist - index knuckle| of the model over the target's; rotation and translation are the
+    rigid least-squares fit of the six palm points.
     """
     scale = _wrist_to_index(rest_keypoints) / max(_wrist_to_index(keypoints), 1e-9)
     palm = list(PALM_KEYPOINTS)
@@ -107,7 +110,7 @@ def _wrist_to_index(keypoints: np.ndarray) -> float:
 
 
 class PaperFitter:
-    """Fits one hand model, frame by frame. Keeps the torch layer between frames."""
+    """The fitter of one hand model to single frames; it keeps the torch layer between frames."""
 
     def __init__(self, model: HandModel, options: PaperOptions) -> None:
         # These need torch, without which the experiments still have names and titles.
@@ -140,7 +143,7 @@ class PaperFitter:
         fixed = None if betas is None else torch.tensor(betas, dtype=torch.float64)[None]
 
         def stage(cost_of: Callable) -> Callable[[np.ndarray], tuple[float, np.ndarray]]:
-            """The cost of variables with its gradient; `cost_of` gets the variables, the keypoints'
+            """Return the cost of variables with its gradient; `cost_of` gets the variables, the keypoints'
             residuals in mm, and the pose."""
 
             def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
@@ -222,8 +225,8 @@ class PaperFitter:
 
 
 def _shape_of_clip(fitter: PaperFitter, keypoints: np.ndarray, should_stop: ShouldStop) -> np.ndarray:
-    """The median shape (10,) of a few evenly spread ones of (N, 21, 3) keypoints; when stopped, of those that
-    were fitted."""
+    """Return the median shape (10,) of the shapes that a few evenly spread ones of (N, 21, 3) keypoints ask
+    for; when stopped, of those that were fitted."""
     chosen = np.linspace(0, len(keypoints) - 1, min(PAPER.shape_frames, len(keypoints))).round().astype(int)
     shapes: list[np.ndarray] = []
     for i in chosen:

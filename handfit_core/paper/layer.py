@@ -20,10 +20,12 @@ from handfit_core.common.skeleton import KEYPOINT_SOURCE, NUM_BETAS, NUM_JOINTS,
 from handfit_core.hand_model.data import HandModel
 
 _LEVEL_ORDER = (0, *(1 + 3 * finger + level for level in range(3) for finger in range(5)))
-"""The 16 joints as the chain yields them: the wrist, all first joints, all second, all third."""
+"""The 16 joints in the order in which the chain yields them: the wrist, all first joints, all second, all
+third."""
 
 _SMALLEST_ANGLE = 1e-18
-"""Half angles below this count as this: sin(t)/t is exactly 1 long before, and t^2 fits float32."""
+"""Half angles in radians below this count as this: sin(t)/t is exactly 1 long before, and t^2 fits
+float32."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +33,11 @@ class HandOutput:
     """The result of `HandLayer.forward`, in metres, in the frame that global_orient and transl lead to."""
 
     vertices: torch.Tensor
-    """(B, V, 3)"""
+    """(B, V, 3) metres: the vertices of the mesh"""
     joints: torch.Tensor
-    """(B, 16, 3) in MANO's order"""
+    """(B, 16, 3) metres: the joints in MANO's order"""
     keypoints: torch.Tensor
-    """(B, 21, 3) in MediaPipe's order"""
+    """(B, 21, 3) metres: the keypoints in MediaPipe's order"""
 
 
 class HandLayer(torch.nn.Module):
@@ -62,7 +64,7 @@ class HandLayer(torch.nn.Module):
     _keypoint_source: torch.Tensor
     _mano_order: torch.Tensor
     faces: torch.Tensor
-    """(F, 3) int64"""
+    """(F, 3) int64: vertex indices of the triangles"""
 
     def __init__(
         self, model: HandModel, dtype: torch.dtype = torch.float64, device: torch.device | str | None = None
@@ -170,9 +172,10 @@ class HandLayer(torch.nn.Module):
         hand_pose: torch.Tensor,
         transl: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """(B, 21, 3) keypoints in MediaPipe's order, metres: forward().keypoints without the mesh.
+        """Return the keypoints (B, 21, 3) in MediaPipe's order, metres: those of `forward`, without the cost
+        of the mesh.
 
-        Arguments as in `forward`.
+        Arguments are as in `forward`.
         """
         batch = hand_pose.shape[0]
         betas = betas.expand(batch, NUM_BETAS)
@@ -188,7 +191,8 @@ class HandLayer(torch.nn.Module):
     def _local_transforms(
         self, betas: torch.Tensor, global_orient: torch.Tensor, hand_pose: torch.Tensor
     ) -> torch.Tensor:
-        """(B, 16, 4, 4) each joint's rotation and its offset from its parent, transposed."""
+        """Return each joint's rotation and its offset from its parent, in metres, as transposed transforms
+        (B, 16, 4, 4)."""
         batch = hand_pose.shape[0]
         pose = torch.cat([global_orient, hand_pose], dim=1).reshape(batch * NUM_JOINTS, 3)
         offsets = torch.addmm(self._transform_base, betas, self._transform_of_betas)
@@ -199,16 +203,18 @@ class HandLayer(torch.nn.Module):
 
 
 def rotvec_to_rotmat(rotvec: torch.Tensor) -> torch.Tensor:
-    """(..., 3) axis-angle in radians -> (..., 3, 3) matrices; value and gradient exact at zero too."""
+    """Convert axis-angle (..., 3) in radians to rotation matrices (..., 3, 3); value and gradient are exact
+    at zero too."""
     table = torch.tensor(_QUAT_PRODUCTS_TO_ROTMAT, dtype=rotvec.dtype, device=rotvec.device)
     return (_quat_products(rotvec) @ table).reshape(*rotvec.shape, 3)
 
 
 def _quat_products(rotvec: torch.Tensor) -> torch.Tensor:
-    """(..., 3) axis-angle -> (..., 16) all products of two elements of the quaternion (w, x, y, z).
+    """Return all products of two elements of the quaternion (w, x, y, z), (..., 16), of axis-angle (..., 3)
+    in radians.
 
-    A rotation matrix is linear in these. Neither the norm's gradient (zero at zero by torch's
-    convention) nor sin(t)/t, kept off zero by the clamp, can yield NaN.
+    A rotation matrix is linear in these. Neither the norm's gradient (zero at zero by torch's convention) nor
+    sin(t)/t, kept off zero by the clamp, can yield NaN.
     """
     half = rotvec * 0.5
     angle = torch.linalg.vector_norm(half, dim=-1, keepdim=True).clamp_min(_SMALLEST_ANGLE)
@@ -217,7 +223,8 @@ def _quat_products(rotvec: torch.Tensor) -> torch.Tensor:
 
 
 def _chained(local: torch.Tensor) -> torch.Tensor:
-    """(B, 16, 4, 4) local transforms -> (B, 64, 3) world transforms in level order, stacked."""
+    """Chain local transforms (B, 16, 4, 4) to the joints' world transforms (B, 64, 3) in level order,
+    stacked."""
     batch = local.shape[0]
     # Split and unbind, not indexing: their gradients are one concatenation, not a zero-fill each.
     # bmm, not matmul: it spares the broadcasting, which costs more than the product.
@@ -231,7 +238,8 @@ def _chained(local: torch.Tensor) -> torch.Tensor:
 
 
 def _quat_products_to_rotmat() -> np.ndarray:
-    """(16, 9) from products q_i q_j (at 4i + j) of a unit quaternion wxyz to the row-major matrix."""
+    """Return the map (16, 9) from products q_i q_j (at 4i + j) of a unit quaternion (w, x, y, z) to the
+    row-major rotation matrix."""
     elements = (
         "+ww +xx -yy -zz",
         "+xy +xy -wz -wz",
@@ -254,15 +262,16 @@ _QUAT_PRODUCTS_TO_ROTMAT = _quat_products_to_rotmat()
 
 
 def _quat_products_to_transform() -> np.ndarray:
-    """(16, 16): from products of quaternion elements to the rotation part of a flattened, transposed 4x4
-    transform."""
+    """Return the map (16, 16) from products of quaternion elements to the rotation part of a flattened,
+    transposed 4x4 transform."""
     table = np.zeros((16, 4, 4))
     table[:, :3, :3] = _QUAT_PRODUCTS_TO_ROTMAT.reshape(16, 3, 3).swapaxes(1, 2)
     return table.reshape(16, 16)
 
 
 def _transform_map(joints: np.ndarray, corner: float = 0.0) -> np.ndarray:
-    """(16, 3, n) joints, per column -> (256, n) their offsets from the parent, inside flat transforms.
+    """Return the joints' offsets from their parents inside flat transforms, (256, n), from joints (16, 3, n),
+    column by column.
 
     `corner` goes into the transforms' last element, which is 1 in a whole transform.
     """
@@ -276,5 +285,6 @@ def _transform_map(joints: np.ndarray, corner: float = 0.0) -> np.ndarray:
 
 
 def _points(rows: np.ndarray) -> np.ndarray:
-    """(21 points, 16 joints, 4, n) in MANO's order -> (21*64, n) in MediaPipe's and level order."""
+    """Reorder rows (21 points, 16 joints, 4, n) in MANO's order to (21*64, n) in MediaPipe's and level
+    order."""
     return rows[list(KEYPOINT_SOURCE)][:, list(_LEVEL_ORDER)].reshape(21 * 64, -1)

@@ -10,20 +10,21 @@ from handfit_core.paper.settings import PAPER
 
 
 def turn_to_ray(intrinsics: Intrinsics, pixel: np.ndarray) -> np.ndarray:
-    """(3, 3) the smallest rotation from the optical axis to the ray through `pixel` (2,).
+    """Return the smallest rotation (3, 3) from the optical axis to the ray through `pixel` (2,).
 
-    A hand fitted as if seen along its own line of sight must be turned by this to look the same
-    from a perspective camera that does not point at it.
+    A hand fitted as if seen along its own line of sight must be turned by this to look the same from a
+    perspective camera that does not point at it.
     """
     ray = intrinsics.rays(pixel)
     return turn_from_axis(ray / np.linalg.norm(ray))
 
 
 def place(points: np.ndarray, keypoints_2d: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
-    """The translation (3,) in metres that makes (N, 3) `points` project nearest to (N, 2) pixels.
+    """Return the translation (3,) in metres that makes `points` (N, 3), in metres, project nearest to
+    `keypoints_2d` (N, 2) in pixels.
 
-    Starts from the linear solution of the pinhole equations and minimises the squared reprojection
-    error by Gauss-Newton steps on the three unknowns.
+    Starts from the linear solution of the pinhole equations and minimises the squared reprojection error by
+    Gauss-Newton steps on the three unknowns.
     """
     focal = np.array([intrinsics.fx, intrinsics.fy])
     rays = intrinsics.rays(keypoints_2d)[:, :2]

@@ -1,5 +1,5 @@
-"""What the paper's experiments minimise, in torch: losses, anatomical limits, and, not in the paper, a pull
-towards a relaxed hand and a last stage through the camera.
+"""The costs that the paper's experiments minimise, in torch: losses, anatomical limits, and, not in the
+paper, a pull towards a relaxed hand and a last stage through the camera.
 
 Residuals are in millimetres, per coordinate; each loss is a mean over all of them.
 """
@@ -23,24 +23,26 @@ Loss = Callable[[torch.Tensor], torch.Tensor]
 
 
 def mse(residual: torch.Tensor) -> torch.Tensor:
-    """Mean square."""
+    """The mean of the squared residuals."""
     return residual.square().mean()
 
 
 def geman_mcclure(residual: torch.Tensor) -> torch.Tensor:
-    """Mean of rho^2 r^2 / (r^2 + rho^2) (Geman and McClure 1987)."""
+    """The mean of rho^2 r^2 / (r^2 + rho^2) over the residuals r (Geman and McClure 1987)."""
     square = residual.square()
     rho2 = PAPER.geman_mcclure_rho**2
     return (rho2 * square / (square + rho2)).mean()
 
 
 def huber(residual: torch.Tensor) -> torch.Tensor:
-    """Mean of r^2 / 2 near zero, delta (|r| - delta / 2) beyond delta (Huber 1964)."""
+    """The mean over the residuals r of r^2 / 2 near zero, and of delta (|r| - delta / 2) beyond delta (Huber
+    1964)."""
     return torch.nn.functional.huber_loss(residual, torch.zeros_like(residual), delta=PAPER.huber_delta)
 
 
 def with_tips(loss: Loss) -> Loss:
-    """A loss of (B, 21, C) residuals in which fingertips count again, times `tip_weight`."""
+    """Make a loss of residuals (B, 21, C) from `loss`, in which fingertips count again, times
+    `tip_weight`."""
     tips = list(TIP_KEYPOINTS)
 
     def weighted(residual: torch.Tensor) -> torch.Tensor:
@@ -50,7 +52,8 @@ def with_tips(loss: Loss) -> Loss:
 
 
 class AnatomicalPenalty:
-    """a * sum(exp(l - theta) + exp(theta - u)) over the 45 anatomical angles theta, in radians."""
+    """The penalty a * sum(exp(l - theta) + exp(theta - u)) over the 45 anatomical angles theta and their
+    limits l and u, in radians."""
 
     def __init__(self, axes: np.ndarray, limits: JointLimits) -> None:
         self._axes = torch.tensor(axes)
@@ -58,12 +61,13 @@ class AnatomicalPenalty:
         self._upper = torch.tensor(limits.upper)
 
     def __call__(self, hand_pose: torch.Tensor) -> torch.Tensor:
-        """(B, 45) axis-angle -> scalar."""
+        """Return the penalty, a scalar, of poses (B, 45), axis-angle in radians."""
         theta = self.angles(hand_pose)
         return PAPER.penalty_weight * (torch.exp(self._lower - theta) + torch.exp(theta - self._upper)).sum()
 
     def angles(self, hand_pose: torch.Tensor) -> torch.Tensor:
-        """(B, 45) axis-angle -> (B, 15, 3) twist, spread, bend; see `hand_model.anatomy`."""
+        """Return the twist, spread and bend (B, 15, 3), in radians, of the joints of poses (B, 45),
+        axis-angle in radians; see `hand_model.anatomy`."""
         rotmats = rotvec_to_rotmat(hand_pose.reshape(-1, 15, 3))
         local = self._axes.transpose(-1, -2) @ rotmats @ self._axes
         # arcsine as an arctangent: its gradient stays finite at +-90 degrees.
@@ -105,18 +109,19 @@ class RelaxedPrior:
         self._weight = PAPER.keypoint_sigma**2 / 63.0  # the error is a mean over 63 coordinates
 
     def whiten(self, global_orient: np.ndarray, hand_pose: np.ndarray) -> np.ndarray:
-        """(3,) and (45,) radians -> the first 48 variables."""
+        """Turn a root rotation (3,) and a pose (45,), radians, into the first 48 whitened variables."""
         deviation = (hand_pose - self._mean.numpy()).reshape(15, 3, 1)
         along_axes = (np.swapaxes(self._axes, -1, -2) @ deviation)[..., 0] / self._sigmas
         return np.concatenate([global_orient / PAPER.orient_scale, along_axes.reshape(45)])
 
     def unwhiten(self, variables: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The first 48 variables -> (1, 3) and (1, 45) radians."""
+        """Turn the first 48 whitened variables into a root rotation (1, 3) and a pose (1, 45), radians."""
         deviation = (self._to_pose @ variables[3:48].reshape(15, 3, 1)).reshape(45)
         return variables[None, :3] * PAPER.orient_scale, (self._mean + deviation)[None]
 
     def __call__(self, variables: torch.Tensor) -> torch.Tensor:
-        """Cost of (48,) variables, or of (58,) with the shape. The root rotation is free."""
+        """Return the cost, in mm^2, of whitened variables (48,), or of (58,) with the shape. The root
+        rotation is free."""
         return self._weight * variables[3:].square().sum()
 
 

@@ -33,33 +33,36 @@ from handfit_core.take import HandTrack, Take
 
 _FACING_ERROR = np.radians(20.0)
 """radians: how far the line of two captured shoulders is likely to be off, seen from above. A body counts as
-turned by what is beyond that. In rendered clips of a person at 0, 0, 35, -35 and 60 degrees the lines were 13
-to 44 degrees off, median 18, and what is beyond 0 to 37, median 7"""
+turned by the rest of the angle alone. In rendered clips of a person at 0, 0, 35, -35 and 60 degrees the lines
+were 13 to 44 degrees off, median 18, and their part beyond this error 0 to 37, median 7"""
 _STRAIGHT, _BENT = 0.1, 0.35
-"""Sines of the elbow's bend: up to the first it does not tell where the elbow points, from the second on it
-does"""
+"""Sines of the elbow's bend, up to the first of which it does not tell where the elbow points, and from the
+second of which on it does"""
 _REST_BENT = 0.1
-"""Sine of a bend at rest from which on it tells the elbow's axis"""
+"""Sine of the elbow's bend at rest below which it does not tell the elbow's axis, so that the body's axes
+do"""
 _REST_STRAIGHT = 0.87
-"""Share of its length that an arm at rest reaches at least: elbows rest bent by 60 degrees at most"""
+"""Least share of its length that an arm at rest reaches: elbows rest bent by 60 degrees at most"""
 _TWIST_SHARE = 0.5
-"""Share of the hand's twist that the forearm takes over, which a wrist's skin cannot"""
+"""Share of the hand's twist that the forearm takes over, as the skin of a wrist cannot take all of it"""
 _REACH = 0.9999
-"""Share of an arm's length up to which it is stretched"""
+"""Largest share of an arm's length to which it is stretched"""
 _UPRIGHT = 0.9
 """Cosine of the angle to an axis of the armature's space up to which that is taken for the vertical"""
 THICKNESS = 0.15
 """Half of a hand's thickness, as a share of the way from its wrist to its knuckles"""
 _SMOOTH_SECONDS = 0.15
-"""seconds before and after that a hand is moved already, or still, while it is kept outside a body"""
+"""seconds before and after, in which a hand that is kept outside a body is moved already, or still"""
 _EDGE = 0.6
-"""Share of a capsule's radius up to which a hand before it is moved towards the camera alone"""
+"""Share of a capsule's radius, from its axis on, up to which a hand before it is moved towards the camera
+alone"""
 _MIDLINE = 0.2
-"""Share of the shoulders' distance from the middle up to which a bone belongs to trunk or head"""
+"""Share of the shoulders' distance, from the body's middle on, up to which a bone belongs to trunk or head"""
 _TRUNK = (5.0, 95.0)
-"""Percentiles of a bone's vertices between which its capsule reaches: thin things stick out of bodies"""
+"""Percentiles of a bone's vertices between which its capsule reaches: thin things that stick out of bodies do
+not count"""
 _FEW = 0.004
-"""Share of a body's vertices below which a bone's are no part of its shape"""
+"""Share of a body's vertices below which a bone moves too few of them to be a part of the body's shape"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,15 +72,17 @@ class CapturedArm:
     upper: np.ndarray
     """(N, 3) unit vectors from the shoulder to the elbow, in the axes of a body that faces -Y"""
     fore: np.ndarray
-    """(N, 3) unit vectors from the elbow to the wrist, likewise"""
+    """(N, 3) unit vectors from the elbow to the wrist, in the axes of a body that faces -Y"""
     present: np.ndarray
     """(N,) bool: true where there is an arm; elsewhere the directions lie between the nearest ones"""
     facing: np.ndarray
-    """(3, 3) from the world in which the capture's camera stands to these axes: a turn about Z"""
+    """(3, 3) the turn about Z from the world in which the capture's camera stands to the axes of a body that
+    faces -Y"""
 
     @classmethod
     def of(cls, take: Take, track: HandTrack, numbers: np.ndarray) -> CapturedArm | None:
-        """The arm of a take's hand at N frame numbers, whole or not; None for a hand without one."""
+        """Return the arm of a take's hand at N frame numbers, whole or not; None for a hand without an
+        arm."""
         arm = track.arm
         if arm is None or not arm.present.any():
             return None
@@ -95,19 +100,19 @@ class CapturedArm:
         return cls(upper, fore, there[before] & there[after], facing)
 
     def turned(self, angle: float) -> CapturedArm:
-        """The arm of a body that is turned by so many radians about Z."""
+        """Return the arm of a body that is turned by `angle` radians about Z."""
         turn = rotvec_to_rotmat(np.array([0.0, 0.0, angle]))
         return CapturedArm(self.upper @ turn.T, self.fore @ turn.T, self.present, turn @ self.facing)
 
     def mirrored(self) -> CapturedArm:
-        """The arm of the other side, as a mirror at x = 0 shows it."""
+        """Return the arm of the other side, as a mirror at x = 0 shows it."""
         return CapturedArm(
             self.upper @ MIRROR_X, self.fore @ MIRROR_X, self.present, MIRROR_X @ self.facing @ MIRROR_X
         )
 
     def weights(self, frames: np.ndarray, ease: float) -> np.ndarray:
-        """(N,) 0..1: how much the arm counts on frames (N,), increasing. It comes and goes within `ease`
-        frames; gaps of at most twice as many are bridged."""
+        """Return how much the arm counts on frames (N,), increasing: (N,) weights, 0..1. The arm comes and
+        goes within `ease` frames; gaps of at most twice as many are bridged."""
         found = np.zeros(len(frames))
         rows = np.flatnonzero(self.present)
         for run in np.split(rows, np.flatnonzero(np.diff(frames[rows]) > max(2.0 * ease, 1.5)) + 1):
@@ -124,8 +129,9 @@ class CapturedArm:
 
 
 def _facing(take: Take, track: HandTrack) -> np.ndarray:
-    """(3, 3) what turns the capture's world about Z until the shoulders' mean line, a left one last, points
-    to +X within the error that it has; the unit matrix where there is one arm."""
+    """Return the turn (3, 3) about Z of the capture's world, by which the mean line of the shoulders, from
+    the right one to the left, points to +X within the error that it has; the unit matrix where there is one
+    arm."""
     line = np.zeros(3)
     for other in take.hands:
         if other.side != track.side and other.arm is not None and track.arm is not None:
@@ -144,35 +150,38 @@ class TargetArm:
     """A character's arm at rest, in the armature's space and units."""
 
     bones: tuple[str, str]
-    """Upper arm and forearm"""
+    """Names of the bones of upper arm and forearm"""
     chest: str
-    """What carries the arm along: the bone from which both arms hang, or the nearest one above; may be
-    empty"""
+    """Name of the bone that carries the arm along: the bone from which both arms hang, or the nearest one
+    above; may be empty"""
     joints: np.ndarray
-    """(3, 3) shoulder, elbow, wrist"""
+    """(3, 3) the places of shoulder, elbow and wrist at rest, in rows"""
     hinge: np.ndarray
     """(3,) unit vector, the elbow's axis, about which a positive turn bends it"""
     body: np.ndarray
-    """(3, 3) from the axes of a body that faces -Y to the armature's: left, back and up in columns"""
+    """(3, 3) from the axes of a body that faces -Y to the armature's: left, back and up of the body in
+    columns"""
 
     @property
     def lengths(self) -> np.ndarray:
-        """(2,) of upper arm and forearm."""
+        """(2,) the lengths of upper arm and forearm, in the armature's units."""
         return np.linalg.norm(np.diff(self.joints, axis=0), axis=-1)
 
     @property
     def rest(self) -> np.ndarray:
-        """(2, 3) unit vectors along upper arm and forearm."""
+        """(2, 3) unit vectors along upper arm and forearm at rest."""
         return units(np.diff(self.joints, axis=0))
 
     def wrist_at(self, upper: np.ndarray, fore: np.ndarray) -> np.ndarray:
-        """(N, 3) where the wrist is, from the shoulder, while upper arm and forearm point there."""
+        """Return where the wrist is, seen from the shoulder, while upper arm and forearm point along `upper`
+        and `fore` (N, 3): (N, 3) in the armature's units."""
         return self.lengths[0] * upper + self.lengths[1] * fore
 
     def normals(self, upper: np.ndarray, fore: np.ndarray) -> np.ndarray:
-        """(N, 3) the elbow's axis while upper arm and forearm (N, 3) point there, perpendicular to both.
+        """Return the elbow's axis (N, 3) while upper arm and forearm point along `upper` and `fore` (N, 3),
+        perpendicular to both.
 
-        Of an arm that is nearly straight it is the one that the smallest turn from rest gives.
+        Of an arm that is nearly straight it is the axis that the smallest turn from rest gives.
         """
         across = np.cross(upper, fore)
         sine = np.linalg.norm(across, axis=-1, keepdims=True)
@@ -182,8 +191,8 @@ class TargetArm:
         return units(part * across / np.maximum(sine, 1e-9) + (1.0 - part) * carried)
 
     def turned(self, upper: np.ndarray, fore: np.ndarray, hand: np.ndarray) -> np.ndarray:
-        """(N, 2, 3, 3) how upper arm and forearm turn from rest, to point along `upper` and `fore` (N, 3),
-        while the hand is turned by `hand` (N, 3, 3) from rest; all relative to the chest at rest."""
+        """Return how upper arm and forearm turn from rest, (N, 2, 3, 3), to point along `upper` and `fore`
+        (N, 3), while the hand is turned by `hand` (N, 3, 3) from rest; all relative to the chest at rest."""
         normals = self.normals(upper, fore)
         turned = np.stack(
             [
@@ -201,8 +210,9 @@ class TargetArm:
         return turned
 
     def reaching(self, wrists: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where upper arm and forearm point, (N, 3) each, to have the wrist at `wrists` (N, 3) from the
-        shoulder, or as near as it gets, with the elbow's axis as near `normals` (N, 3) as it gets."""
+        """Return the directions of upper arm and forearm, (N, 3) each, that have the wrist at `wrists` (N, 3)
+        from the shoulder, or as near as it gets, with the elbow's axis as near `normals` (N, 3) as it
+        gets."""
         first, second = self.lengths
         way = np.linalg.norm(wrists, axis=-1, keepdims=True)
         along = wrists / np.maximum(way, 1e-9)
@@ -216,10 +226,10 @@ class TargetArm:
 def target_arm(
     bones: Bones, side: Side, hand: str, other: str | None, upright: np.ndarray
 ) -> TargetArm | None:
-    """The arm on which the hand's bone of that side hangs; None where it hangs on none.
+    """Find the arm on which the hand's bone of that side hangs; None where it hangs on none.
 
-    `other` is the bone of the character's other hand, None where it has none; `upright` (3, 3) the world's
-    axes in the armature's space, for characters with one arm.
+    `other` is the bone of the character's other hand, None where it has none; `upright` (3, 3) holds the
+    world's axes in the armature's space, for characters with one arm.
     """
     second_hand = bones.index[other] if other else None
     own = _arm_above(bones, bones.index[hand], second_hand)
@@ -252,9 +262,9 @@ def target_arm(
 
 
 def _arm_above(bones: Bones, hand: int, other: int | None) -> tuple[int, int] | None:
-    """Upper arm and forearm of the bones above a hand, and not above the other one; None where there are
-    none. By their names, else the two that make the longest parts of about the same length that are not bent
-    by much, so that clavicles and a spine are passed over."""
+    """Find upper arm and forearm among the bones above a hand, and not above the other one; None where there
+    are none. By their names, else the two that make the longest parts of about the same length that are not
+    bent by much, so that clavicles and a spine are passed over."""
     both = {*bones.ancestors(other)} if other is not None else set()
     chain = [bone for bone in bones.ancestors(hand) if bone not in both]
     named = named_arm([bones.names[bone] for bone in chain])
@@ -276,8 +286,8 @@ def _arm_above(bones: Bones, hand: int, other: int | None) -> tuple[int, int] | 
 def _body_axes(
     bones: Bones, chest: int, line: np.ndarray, middle: np.ndarray, upright: np.ndarray
 ) -> np.ndarray:
-    """Left, back and up of a body at rest, in columns (3, 3): across its shoulders' `line`, and up from the
-    bone on which all others hang; an axis of the armature's space where one is near."""
+    """Return left, back and up of a body at rest, in columns (3, 3): across its shoulders' `line`, and up
+    from the bone on which all others hang; an axis of the armature's space where one is near."""
     base = bones.heads[[chest, *bones.ancestors(chest)][-1]]
     up = middle - base
     if np.linalg.norm(up) < 0.1 * np.linalg.norm(line):
@@ -293,12 +303,12 @@ def _body_axes(
 def swivel_angles(
     start: np.ndarray, hinge: np.ndarray, wrist: np.ndarray, along: np.ndarray, normals: np.ndarray
 ) -> np.ndarray:
-    """(N,) radians about the upper arm's own Y by which it is to turn, so that an elbow that IK bends has the
-    axes `normals` (N, 3).
+    """Return the radians (N,) by which the upper arm is to turn about its own Y, so that an elbow that IK
+    bends has the axes `normals` (N, 3).
 
     `start` (N, 3, 3) are the upper arm's axes before it turns, `hinge` and `wrist` (3,) the elbow's axis and
-    where the wrist lies at rest, told in them; `along` (N, 3) is where the wrist is to lie from the shoulder.
-    IK then turns the arm by the smallest rotation that takes its wrist there.
+    where the wrist lies at rest, told in these axes; `along` (N, 3) is where the wrist is to lie from the
+    shoulder. IK then turns the arm by the smallest rotation that takes its wrist there.
     """
     angles, wrist = np.zeros(len(start)), units(wrist)
     for _ in range(40):
@@ -312,18 +322,18 @@ def swivel_angles(
 
 @dataclass(frozen=True, eq=False)
 class Capsules:
-    """C parts of a body at rest, as capsules in the armature's space and units."""
+    """Capsules around C parts of a body at rest, in the armature's space and units."""
 
     bones: tuple[str, ...]
-    """The bone that carries each capsule"""
+    """Names of the bones that carry the capsules"""
     ends: np.ndarray
-    """(C, 2, 3) the ends of their axes"""
+    """(C, 2, 3) both ends of the capsules' axes"""
     radii: np.ndarray
-    """(C,)"""
+    """(C,) the capsules' radii"""
 
     @classmethod
     def of(cls, bones: Bones, points: np.ndarray, owners: np.ndarray, arm: TargetArm) -> Capsules:
-        """Capsules of trunk and head about a mesh's vertices (V, 3) at rest, of which `owners` (V,) says the
+        """Fit capsules of trunk and head to a mesh's vertices (V, 3) at rest, of which `owners` (V,) says the
         bone that moves each of them most, -1 for none.
 
         Each is as deep as its vertices are from front to back, and lies along the longer of their width and
@@ -351,8 +361,8 @@ class Capsules:
 def kept_outside(
     points: np.ndarray, ends: np.ndarray, radii: np.ndarray, seconds: np.ndarray, camera: np.ndarray
 ) -> np.ndarray:
-    """(N, 3) by how much K points (N, K, 3) of a hand are to be moved together on N frames to lie outside of
-    C capsules with `ends` (N, C, 2, 3) and `radii` (C,), and not behind them.
+    """Return by how much K points (N, K, 3) of a hand are to be moved together on N frames, (N, 3), to lie
+    outside of C capsules with `ends` (N, C, 2, 3) and `radii` (C,), and not behind them.
 
     A hand that a camera in the direction `camera` (3,) has seen lies before what is in line with it; how far
     away it is is what pictures tell worst. So it is moved towards the camera, or aside at a capsule's edge.
@@ -376,7 +386,7 @@ def kept_outside(
 
 
 def _outwards(points: np.ndarray, ends: np.ndarray, radii: np.ndarray, camera: np.ndarray) -> np.ndarray:
-    """(N, 3) the moves that were found, capsule by capsule, the largest first."""
+    """Return the moves (N, 3) that take the points of a hand out of the capsules, each frame by itself."""
     moved, rows = np.zeros((len(points), 3)), np.arange(len(points))
     start, axis = ends[:, None, :, 0], (ends[:, :, 1] - ends[:, :, 0])[:, None]
     across = perpendicular(axis, camera)
@@ -399,6 +409,7 @@ def _outwards(points: np.ndarray, ends: np.ndarray, radii: np.ndarray, camera: n
 
 
 def _frames(along: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) axes in columns: a direction, the axis perpendicular to it, and what is across both."""
+    """Return axes as columns (..., 3, 3): the direction `along`, the axis perpendicular to it that is nearest
+    to `normal`, and the one across both."""
     normal = units(perpendicular(np.broadcast_to(normal, along.shape), along))
     return np.stack([along, normal, np.cross(along, normal)], axis=-1)

@@ -1,4 +1,4 @@
-"""How the bones of an armature lie at rest."""
+"""The bones of an armature at rest: their places, their axes, and how they hang on each other."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Bones:
     heads: np.ndarray
     """(B, 3) where each bone begins"""
     tails: np.ndarray
-    """(B, 3) where each bone ends; imported rigs have tails that mean nothing"""
+    """(B, 3) where each bone ends; the tails of imported rigs may mean nothing"""
     frames: np.ndarray
-    """(B, 3, 3) each bone's axes, X, Y and Z in columns; Y is along the bone"""
+    """(B, 3, 3) each bone's axes, with X, Y and Z in columns; Y is along the bone"""
 
     @cached_property
     def index(self) -> dict[str, int]:
@@ -30,7 +30,7 @@ class Bones:
 
     @cached_property
     def children(self) -> tuple[tuple[int, ...], ...]:
-        """The indices of each bone's children."""
+        """For each bone the indices of its children."""
         found: list[list[int]] = [[] for _ in self.names]
         for bone, parent in enumerate(self.parents.tolist()):
             if parent >= 0:
@@ -38,13 +38,14 @@ class Bones:
         return tuple(map(tuple, found))
 
     def ancestors(self, bone: int) -> Iterator[int]:
-        """The bone's parent, that one's parent, and so on."""
+        """Yield the index of the bone's parent, then that of the parent's parent, and so on up to a bone
+        without one."""
         while (bone := int(self.parents[bone])) >= 0:
             yield bone
 
     def holding(self, those: Sequence[int], wanted: int | None = None) -> int | None:
-        """The bone that all those hang from: `wanted` if they do, else their nearest common ancestor; None
-        where they have none."""
+        """Find the bone that all the bones `those` hang from: `wanted` if they do, else their nearest common
+        ancestor; None where they have none."""
         first, *others = ([*self.ancestors(bone)] for bone in those)
         shared = [bone for bone in first if all(bone in line for line in others)]
         return wanted if wanted in shared else shared[0] if shared else None

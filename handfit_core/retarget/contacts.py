@@ -39,35 +39,37 @@ from handfit_core.hand_model.surface import cross, gaps_along, nearest_along, su
 from handfit_core.retarget.transfer import SourceHand, TargetHand, globally
 
 PAIRS: Final = np.array(list(combinations(range(len(FINGERS)), 2)))
-"""(10, 2) fingers that can touch each other, those with the thumb first"""
+"""(10, 2) pairs of fingers that can touch each other, pairs with the thumb first"""
 
 
 @dataclass(frozen=True)
 class TouchSettings:
-    """Which touches of a character are met, how far its joints turn for them, and how much is solved in one
-    step of work."""
+    """Settings of which touches of a character are met, how far its joints turn for them, and how much is
+    solved in one step of work."""
 
     touch_gap: tuple[float, float] = (0.004, 0.012)
-    """metres between skins up to which they touch, and from which they do not"""
+    """metres between skins up to which they touch, and from which on they do not"""
     crossed_share: tuple[float, float] = (0.5, 0.8)
     """Share of the way between two fingers' skins that leads across the palm: up to the first, one finger
     lies over the other; from the second on they lie side by side, which is no touch to keep"""
     blend_seconds: float = 0.1
-    """Time for which a touch is kept before and after; it fades in and out for twice as long"""
+    """seconds before and after a touch for which it is kept; it fades in and out for twice as long"""
     thumb_turn_cost: tuple[tuple[float, float, float], ...] = (
         (6.0, 1.0, 1.0),
         (6.0, 4.0, 1.0),
         (6.0, 4.0, 1.0),
     )
-    """Diagonal of M of the thumb's three joints: twist, spread and bend"""
+    """Cost of a radian squared, on the diagonal of M, for twist, spread and bend of each of the thumb's three
+    joints"""
     finger_turn_cost: tuple[tuple[float, float, float], ...] = (
         (math.inf, 4.0, 2.0),
         (math.inf, math.inf, 2.0),
         (math.inf, math.inf, 3.0),
     )
-    """Diagonal of M of the other fingers' joints; infinite: fixed"""
+    """Cost of a radian squared, on the diagonal of M, for twist, spread and bend of each of the other
+    fingers' joints; infinite: the angle is fixed"""
     open_share: float = 0.02
-    """e: the share of a gap that stays open where both touch"""
+    """The number e of the module's formula: the share of a gap that stays open where both skins touch"""
     sliding_share: tuple[float, float] = (0.9, 0.5)
     """Largest share of a distance along the skins that is closed, in the first pass and in the second:
     touches of several fingers with one thumb cannot all be met in the very same places"""
@@ -75,13 +77,13 @@ class TouchSettings:
     """radians by which an angle turns at most, from the captured pose in the first pass and from the mean in
     the second: touches that need more are no grip, or would make a jump, and stay open"""
     max_steps: int = 20
-    """of the search for an angle"""
+    """Most steps of the search for the joints' angles"""
     tolerance: float = 1e-11
-    """Relative decrease of the cost at which the search ends"""
+    """Relative decrease of the cost at which the search for the joints' angles ends"""
     solve_frames: int = 32
-    """Frames that are solved in one step of work"""
+    """Number of frames that are solved in one step of work"""
     detect_frames: int = 256
-    """Frames in which touches are detected in one step of work"""
+    """Number of frames in which touches are detected in one step of work"""
 
 
 TOUCHES: Final = TouchSettings()
@@ -92,38 +94,39 @@ class Fingertips:
     """The last bones of a captured hand's fingers with their skins, at rest, in rest space and metres."""
 
     ends: np.ndarray
-    """(5, 2, 3) both ends of each one's axis"""
+    """(5, 2, 3) metres: both ends of the axis of each finger's last bone, thumb first"""
     radii: np.ndarray
-    """(5, 2) of the skin around these"""
+    """(5, 2) metres: the radii of the skin around these ends"""
 
     @classmethod
     def of(cls, model: HandModel, betas: np.ndarray) -> Fingertips:
-        """The fingertips of a hand model of shape betas (10,)."""
+        """Return the fingertips of a hand model of shape `betas` (10,)."""
         flat = surface_of(model).of(betas[None], np.zeros((1, 45)))
         return cls(points_to_rest(flat.ends[0, 2:15:3]), flat.radii[0, 2:15:3])
 
     def mirrored(self) -> Fingertips:
-        """The fingertips of the other hand."""
+        """Return the fingertips of a hand of the other side, mirrored at x = 0 of rest space."""
         return Fingertips(self.ends @ MIRROR_X, self.radii)
 
 
 @dataclass(frozen=True, eq=False)
 class Touches(Batch):
-    """Which fingertips of a captured hand touch in each of T frames."""
+    """The touches between a captured hand's fingertips in T frames, by the pairs of `PAIRS`."""
 
     weights: np.ndarray
     """(T, 10) 0..1 by `PAIRS`: how much each touch is to be kept, smooth in time; exactly 0 where none is"""
     gap: np.ndarray
     """(T, 10) metres between the two skins; negative where they overlap"""
     now: np.ndarray
-    """(T, 10) bool: true where the two touch in this very frame"""
+    """(T, 10) bool: true where the two fingers touch in this very frame"""
     along: np.ndarray
-    """(T, 10, 2) where on the axes of the two last bones, 0..1, they are nearest to each other"""
+    """(T, 10, 2) where, on the axes of the two last bones, 0..1, the fingers are nearest to each other"""
     ways: np.ndarray
-    """(T, 10, 3) metres from that place of the second to the first's, in rest space, the wrist at rest"""
+    """(T, 10, 3) metres, in rest space with the wrist at rest: from that place on the second finger to that
+    on the first"""
 
     def of(self, pairs: np.ndarray) -> Touches:
-        """The touches of `pairs` (P,) alone."""
+        """Return only the touches of the pairs that `pairs` (P,) names by their rows in `PAIRS`."""
         return Touches(*(values[:, pairs] for _, values in self._rows()))
 
 
@@ -132,10 +135,10 @@ class ContactResult:
     """A character's hand whose fingertips touch where the captured ones do, over T frames."""
 
     standing: np.ndarray
-    """(T, K, 3, 3) how the bones stand, as `TargetHand.standing` has them; the very same numbers for fingers
-    that touch nothing"""
+    """(T, K, 3, 3) how the bones stand in the armature's space while the hand is at rest; where a finger
+    touches nothing, exactly as `TargetHand.standing` gives it"""
     apart: np.ndarray
-    """(T,) metres of the captured hand's scale by which the gap between skins that touch now is another than
+    """(T,) metres, at the captured hand's scale, by which the gap between skins that touch now differs from
     the captured one, at the worst; 0 where none touch"""
     turned: np.ndarray
     """(T,) radians: the largest of the angles by which joints turn beyond what was captured"""
@@ -144,9 +147,9 @@ class ContactResult:
 def finding_touches(
     source: SourceHand, skins: Fingertips, turns: np.ndarray, times: np.ndarray
 ) -> Generator[None, None, Touches]:
-    """Detect the touches of captured hands, in steps.
+    """Detect the touches of a captured hand in T frames, in steps of work.
 
-    `turns`: (T, 16, 3, 3), see `TargetHand.local`; `times`: (T,) seconds, rising.
+    `turns`: (T, 16, 3, 3) the joints' rotations, see `TargetHand.local`; `times`: (T,) seconds, rising.
     """
     last = JOINTS_BY_FINGER[:, 2]
     across = source.joints[FINGER_JOINTS["index"][0]] - source.joints[FINGER_JOINTS["little"][0]]
@@ -185,10 +188,11 @@ def keeping_contacts(
     times: np.ndarray,
     keyed: np.ndarray | None = None,
 ) -> Generator[float, None, ContactResult]:
-    """Have a character's fingertips touch where captured ones do, in steps that yield the share done, 0..1.
+    """Have a character's fingertips touch where captured fingertips do, in steps that yield the share done,
+    0..1.
 
-    `source`, `skins` and `turns` (T, 16, 3, 3) are the captured hand's, of the target's side; times (T,) in
-    seconds, rising. `keyed` (K,) bool: the bones that may turn more than captured; None: all.
+    `source`, `skins` and `turns` (T, 16, 3, 3) are the captured hand's, of the target's side; `times` (T,) in
+    seconds, rising. `keyed` (K,) bool: true for bones that may turn more than captured; None: all.
     """
     standing, apart = np.empty((len(turns), len(target.bones), 3, 3)), np.zeros(len(turns))
     for start in range(0, len(turns), TOUCHES.detect_frames):
@@ -213,15 +217,16 @@ def keeping_contacts(
 
 
 def _slices(value: np.ndarray) -> Generator[tuple[np.ndarray, float], None, None]:
-    """The frames whose value (T,) is not zero, some at a time, and which share of them is done with these."""
+    """Yield the frames whose `value` (T,) is not zero, some at a time, each time with the share, 0..1, that
+    is done with them."""
     rows = np.flatnonzero(value)
     for start in range(0, len(rows), TOUCHES.solve_frames):
         yield rows[start : start + TOUCHES.solve_frames], min((start + TOUCHES.solve_frames) / len(rows), 1.0)
 
 
 def _nearest(ends: np.ndarray, radii: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where on the axes, (N, P, 2), and how near, (N, P), pairs (P, 2) of skins are nearest to each other: by
-    ends (N, 5, 2, 3) and radii (5, 2)."""
+    """Find where pairs (P, 2) of skins are nearest to each other, from their ends (N, 5, 2, 3) and radii
+    (5, 2): where on both axes, (N, P, 2), and how near, (N, P) in metres."""
     first, second = (ends[:, some].reshape(-1, 2, 3) for some in pairs.T)
     radii_a, radii_b = (np.tile(radii[some], (len(ends), 1)) for some in pairs.T)
     along = nearest_along(first, radii_a, second, radii_b)
@@ -230,12 +235,13 @@ def _nearest(ends: np.ndarray, radii: np.ndarray, pairs: np.ndarray) -> tuple[np
 
 
 def _falling(value: np.ndarray, range_: tuple[float, float]) -> np.ndarray:
-    """1 up to the first bound, 0 from the second on, smooth between."""
+    """Return 1 up to the first bound of `range_`, 0 from the second on, and smooth values between."""
     return smoothstep((range_[1] - value) / (range_[1] - range_[0]))
 
 
 def _mean(values: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """(T, ...) means of values (T, ...) over the frames within `blend_seconds`, nearer ones counting more."""
+    """Return the means (T, ...) of values (T, ...) over the frames within `blend_seconds`, nearer ones
+    counting more."""
     total, count = values.copy(), np.ones(len(times))
     for first, second, share in _neighbours(times):
         shares = share.reshape(-1, *[1] * (values.ndim - 1))
@@ -247,8 +253,8 @@ def _mean(values: np.ndarray, times: np.ndarray) -> np.ndarray:
 
 
 def _neighbours(times: np.ndarray) -> Generator[tuple[slice, slice, np.ndarray], None, None]:
-    """Pairs of frames within `blend_seconds` of each other, as slices that are one, two, ... frames apart,
-    and their weights: 1 at the same time, 0 from `blend_seconds` on."""
+    """Yield pairs of frames within `blend_seconds` of each other, as slices that are one, two, ... frames
+    apart, and their weights: 1 at the same time, 0 from `blend_seconds` on."""
     for step in range(1, len(times)):
         share = np.maximum(1.0 - (times[step:] - times[:-step]) / TOUCHES.blend_seconds, 0.0)
         if not share.any():
@@ -263,30 +269,31 @@ class _Chains:
 
     target: TargetHand
     axes: np.ndarray
-    """(K, 3, 3) columns are each joint's twist, spread and bend axes"""
+    """(K, 3, 3) the twist, spread and bend axes of each bone's joint, as columns"""
     starts: np.ndarray
-    """(K, 3) from the parent's beginning to each bone's, at rest: as the parent's turn carries it"""
+    """(K, 3) metres: from where the parent begins to where the bone begins, at rest; the parent's turn
+    carries it"""
     last: np.ndarray
-    """(5,) the last bone of each finger; -1 for those that are not there"""
+    """(5,) the index of each finger's last bone; -1 for fingers that are not there"""
     radii: np.ndarray
-    """(5, 2) of the fingertips' skins"""
+    """(5, 2) metres: the radii of the fingertips' skins at both ends"""
     skins: np.ndarray
-    """(5, 2, 3) from the beginning of these to both ends of the axes of their skins, likewise: as far from
-    the character's fingertip as the captured ones are from theirs"""
+    """(5, 2, 3) metres: from where each finger's last bone begins to both ends of the axis of its skin, which
+    lie as far from the character's fingertip as the captured ones from theirs"""
     moves: np.ndarray
     """(K, U) bool: true where an angle moves a bone"""
     bones: np.ndarray
-    """(U,) the bone of each angle"""
+    """(U,) the index of the bone that each angle turns"""
     which: np.ndarray
-    """(U,) twist, spread or bend of it: 0, 1, 2"""
+    """(U,) which of its bone's angles each one is: 0 twist, 1 spread, 2 bend"""
     turn_cost: np.ndarray
     """(U,) the diagonal of M"""
     lower: np.ndarray
-    """(U,) radians"""
+    """(U,) radians: the least value of each angle"""
     upper: np.ndarray
-    """(U,)"""
+    """(U,) radians: the greatest value of each angle"""
     pairs: np.ndarray
-    """(P,) which of `PAIRS` have two last bones"""
+    """(P,) rows of `PAIRS` whose two fingers both have a last bone"""
 
     @classmethod
     def of(cls, target: TargetHand, source: SourceHand, skins: Fingertips, keyed: np.ndarray) -> _Chains:
@@ -338,7 +345,8 @@ class _Chains:
         )
 
     def problem(self, standing: np.ndarray, found: Touches) -> _Problem:
-        """The problem of N frames with touches, whose bones stand as captured: (N, K, 3, 3)."""
+        """Make the problem of N frames with touches, whose bones stand as captured: `standing`
+        (N, K, 3, 3)."""
         # How bones are turned from where ours rest, in our rest space
         laid = self.target.aligned.T @ standing @ np.swapaxes(self.target.rest, -1, -2)
         whole = laid @ np.swapaxes(self.target.corrected, -1, -2) @ self.target.aligned
@@ -353,48 +361,50 @@ class _Chains:
 
 @dataclass(frozen=True, eq=False)
 class _Turns(Batch):
-    """Turns of the joints in addition to the captured ones."""
+    """The angles by which joints turn in addition to what was captured, in N frames."""
 
     x: np.ndarray
-    """(N, U) radians"""
+    """(N, U) radians: the additional turn of each angle"""
 
     def moved(self, step: np.ndarray) -> _Turns:
-        """By increments (N, U)."""
+        """Return the turns after increments (N, U) in radians."""
         return _Turns(self.x + step)
 
 
 @dataclass(frozen=True, eq=False)
 class _System(Batch):
-    """The normal equations of N frames."""
+    """The normal equations of N frames, each by itself."""
 
     cost: np.ndarray
-    """(N,)"""
+    """(N,) the cost of each frame"""
     hessian: np.ndarray
-    """(N, U, U)"""
+    """(N, U, U) the Gauss-Newton matrix of each frame by its angles"""
     gradient: np.ndarray
-    """(N, U)"""
+    """(N, U) the gradient of each frame's cost by its angles"""
 
 
 @dataclass(frozen=True, eq=False)
 class _Problem(Batch):
-    """N frames in which fingertips touch."""
+    """The N frames in which fingertips touch, with what their turns are solved from."""
 
     chains: _Chains
-    """Those of the P pairs that touch in any of them"""
+    """The character's fingers, with those of the P pairs that touch in any of the frames"""
     angles: np.ndarray
     """(N, K, 3) twist, spread and bend of each bone, as captured"""
     touching: Touches
-    """The touches of these pairs in the N frames"""
+    """The touches of these P pairs in the N frames"""
 
     def turned(self, standing: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """The bones (N, K, 3, 3) turned by x (N, U) more than they stand; the very same where x is 0."""
+        """Return the bones (N, K, 3, 3) turned by x (N, U) radians more than they stand; exactly as they were
+        where x is 0."""
         chains, target = self.chains, self.chains.target
         moved = (chains.moves & (x != 0.0)[:, None]).any(axis=-1)
         stands = target.aligned @ self.posed(x)[0] @ target.aligned.T @ target.corrected @ target.rest
         return np.where(moved[..., None, None], stands, standing)
 
     def apart(self, x: np.ndarray) -> np.ndarray:
-        """(N,) metres by which the gap of skins that touch is another than the captured one, at the worst."""
+        """Return the metres (N,) by which the gap of skins that touch differs from the captured one, at the
+        worst."""
         chains = self.chains
         whole, places, _ = self.posed(x)
         ends = places[:, chains.last, None] + np.einsum("nfab,feb->nfea", whole[:, chains.last], chains.skins)
@@ -402,7 +412,8 @@ class _Problem(Batch):
         return np.max(off, axis=1, where=self.touching.now, initial=0.0)
 
     def posed(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """How bones (N, K, 3, 3) are turned and where they begin (N, K, 3), and their angles (N, K, 3)."""
+        """Return how the bones are turned (N, K, 3, 3), where they begin (N, K, 3) in metres, and their
+        angles (N, K, 3) in radians, under additional turns x (N, U)."""
         chains = self.chains
         angles = self.angles.copy()
         angles[:, chains.bones, chains.which] += x
@@ -417,7 +428,7 @@ class _Problem(Batch):
         return whole, places, angles
 
     def forward(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals (N, P, 3), and their derivatives by x: (N, P, 3, U)."""
+        """Return the residuals (N, P, 3), in metres, and their derivatives (N, P, 3, U) by x (N, U)."""
         chains = self.chains
         whole, places, angles = self.posed(x)
         pairs = PAIRS[chains.pairs]
@@ -444,8 +455,9 @@ class _Problem(Batch):
         return off, np.swapaxes(moves, -1, -2)
 
     def stiffness(self, slopes: np.ndarray, along: float) -> np.ndarray:
-        """(N, P, 3, 3) rho, between the skins and along them: by the Jacobian (N, P, 3, U) of the captured
-        pose. `along`: the share of what lies along them that is closed at most."""
+        """Return the stiffness R (N, P, 3, 3) of touches, between the skins and along them, from the Jacobian
+        (N, P, 3, U) of the captured pose. `along`: the largest share of a distance along the skins that is
+        closed."""
         gives = (slopes**2 / self.chains.turn_cost).sum(axis=(-1, -2))
         towards, weights = units(self.touching.ways), self.touching.weights
         between = ((towards[..., None, :] @ slopes)[..., 0, :] ** 2 / self.chains.turn_cost).sum(axis=-1)
@@ -458,7 +470,8 @@ class _Problem(Batch):
         return rho[0][..., None, None] * normal + rho[1][..., None, None] * (np.eye(3) - normal)
 
     def solved(self, about: np.ndarray, again: int) -> np.ndarray:
-        """x (N, U), the least away from `about` (N, U): the first time (0) or `again` (1), from the mean."""
+        """Solve for the turns x (N, U) that are least away from `about` (N, U), in radians; `again` is 0 in
+        the first pass, and 1 in the second, which starts from the mean."""
         chains = self.chains
         captured = self.angles[:, chains.bones, chains.which]
         # Angles that are beyond their range already may stay there.
@@ -481,16 +494,16 @@ class _Bounded(LeastSquares):
 
     frames: _Problem
     stiffness: np.ndarray
-    """(N, P, 3, 3) R"""
+    """(N, P, 3, 3) the stiffness R of each touch"""
     about: np.ndarray
-    """(N, U) radians from which turns cost"""
+    """(N, U) radians: the turns from which further turning costs"""
     low: np.ndarray
-    """(N, U) radians"""
+    """(N, U) radians: the least turns"""
     high: np.ndarray
-    """(N, U) radians"""
+    """(N, U) radians: the greatest turns"""
 
     def blocks(self, state: _Turns) -> _System:
-        """Their normal equations."""
+        """Return the normal equations of the N frames at `state`."""
         off, slopes = self.frames.forward(state.x)
         flat = slopes.reshape(len(off), -1, slopes.shape[-1])
         pull = np.swapaxes((self.stiffness @ slopes).reshape(flat.shape), -1, -2)
@@ -505,7 +518,8 @@ class _Bounded(LeastSquares):
     def step(
         self, state: _Turns, blocks: _System, damping: np.ndarray
     ) -> tuple[tuple[np.ndarray], np.ndarray]:
-        """Increments (N, U) that stay within the bounds, and the predicted decrease (N,)."""
+        """Return increments (N, U), in radians, that stay within the bounds, and the predicted decrease (N,)
+        of the costs."""
         x, gradient = state.x, blocks.gradient
         free = ~((x <= self.low) & (gradient > 0.0) | (x >= self.high) & (gradient < 0.0))
         own = np.eye(x.shape[1], dtype=bool)

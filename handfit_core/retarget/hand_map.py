@@ -1,4 +1,5 @@
-"""Which bones of a character are a hand: what an artist sees as a table, and what a preset file holds."""
+"""The table that says which bones of a character are a hand, as an artist sees it and as a preset file holds
+it."""
 
 from __future__ import annotations
 
@@ -16,66 +17,71 @@ PALM_FINGERS: Final = FINGERS[1:]
 """The fingers that have a metacarpal bone in some rigs, in the order of `HandMap.palm`"""
 
 USUAL_THUMB_ROLL: Final = 30.0
-"""degrees: default of `HandMap.thumb_roll`. Rigify's metarig, VRM's T-pose and Mixamo's thumbs need this
+"""degrees: default of `HandMap.thumb_roll`. Thumbs of Rigify's metarig, VRM's T-pose and Mixamo need this
 within 6 degrees, since they rest with the nail turned farther away from the hand's back than ours"""
 
 _MAX_NAME_LENGTH: Final = 256
-"""characters of a bone's name; Blender's own limit is 63 bytes"""
+"""Most characters of a bone's name; Blender's own limit is 63 bytes"""
 _MAX_PRESET_BYTES: Final = 1_000_000
-"""bytes of a preset, characters of a table; a preset with 63 bytes for every bone's name has some 4 000"""
+"""Most bytes of a preset, and characters of a table; a preset with 63 bytes for every bone's name has some 4
+000"""
 _RANGES: Final = {"thumb_roll": (-360.0, 360.0), "fold": (0.0, 1.0)}
 
 
 @dataclass(frozen=True)
 class HandMap:
-    """One hand of a character, as names of its bones. The empty name stands for a bone that is not there."""
+    """The names of the bones of one hand of a character. The empty name stands for a bone that is not
+    there."""
 
     side: Side
     bones: tuple[str, ...]
     """16 names, by MANO's joints: the bone that begins at that joint, the hand's own first. Toon hands leave
     joints out; one bone may stand for the same joint of several fingers, and takes their mean"""
     palm: tuple[str, str, str, str] = ("", "", "", "")
-    """The metacarpal bones of index, middle, ring and little finger"""
+    """Names of the metacarpal bones of index, middle, ring and little finger"""
     control: str = ""
-    """The bone that moves the whole hand; empty: the hand's own"""
+    """Name of the bone that moves the whole hand; empty: the hand's own"""
     rig: str = ""
     """The kind of rig that was recognised, as an artist reads it"""
     thumb_roll: float = 0.0
     """degrees about each of the thumb's bones; positive turns its nail towards the back of the hand, on
     either hand"""
     keep_rest: bool = False
-    """True if fingers keep the rest pose's difference from ours, instead of pointing as ours do"""
+    """True if fingers keep the difference between the character's rest pose and ours, instead of pointing as
+    ours do"""
     fold: float = 0.0
-    """How much of ring and little finger's bend their metacarpals take over, 0..1"""
+    """The share of ring and little finger's bend that their metacarpals take over, 0..1"""
 
     @property
     def mapped(self) -> dict[int, str]:
-        """Bone by joint, of the fingers' joints that have one."""
+        """The name of the bone of each of the fingers' joints that has one, by the joint's number in MANO's
+        order."""
         return {joint: name for joint, name in enumerate(self.bones) if joint and name}
 
     @property
     def keyed(self) -> tuple[str, ...]:
-        """The bones that fingers' motion is keyed on: each once, parents before children."""
+        """Names of the bones that fingers' motion is keyed on: each once, parents before children."""
         folded = [name for name in self.palm[2:] if name] if self.fold else []
         return tuple(dict.fromkeys([*folded, *self.mapped.values()]))
 
     @property
     def named(self) -> tuple[str, ...]:
-        """All bones that it names, each once."""
+        """Names of all bones in this table, each once."""
         return tuple(name for name in dict.fromkeys((*self.bones, *self.palm, self.control)) if name)
 
     @property
     def moved_by(self) -> str:
-        """The bone that moves the whole hand."""
+        """Name of the bone that moves the whole hand."""
         return self.control or self.bones[0]
 
     @property
     def fingers(self) -> tuple[str, ...]:
-        """The fingers that have at least one bone."""
+        """Names of the fingers that have at least one bone."""
         return tuple(f for f in FINGERS if any(self.bones[joint] for joint in FINGER_JOINTS[f]))
 
     def check(self, there: Mapping[str, Any] | Any) -> None:
-        """Raises HandModelError where a named bone is not among `there`, or where there is no hand."""
+        """Check that the table fits an armature: raises HandModelError where a named bone is not among
+        `there`, or where there is no hand."""
         if not self.bones[0]:
             raise HandModelError(f"no bone stands for the {self.side} hand itself: choose it in the table")
         if not self.mapped:
@@ -85,7 +91,7 @@ class HandMap:
             raise HandModelError(f"there is no bone {shown(missing)!r}: choose another one in the table")
 
     def to_json(self) -> str:
-        """The text that armatures and preset files keep."""
+        """Return the table as JSON text, which armatures and preset files keep."""
         data = asdict(self)
         names = dict(zip(JOINT_NAMES, data.pop("bones"), strict=True))
         palm = dict(zip(PALM_FINGERS, data.pop("palm"), strict=True))
@@ -93,7 +99,7 @@ class HandMap:
 
     @classmethod
     def from_json(cls, text: str) -> HandMap:
-        """The inverse of `to_json`. Raises HandModelError for whatever else the text is."""
+        """Read the text that `to_json` wrote. Raises HandModelError for whatever else the text is."""
         data = _json(text, "table")
         if not isinstance(data, dict):
             raise HandModelError("this is no table of a hand's bones")
@@ -118,12 +124,12 @@ class HandMap:
 
 
 def to_preset(hand_maps: Iterable[HandMap]) -> str:
-    """The text of a preset file: a JSON list of the tables of one hand or both."""
+    """Return the text of a preset file: a JSON list of the tables of one hand or both."""
     return f"[{','.join(hand_map.to_json() for hand_map in hand_maps)}]"
 
 
 def from_preset(text: str) -> list[HandMap]:
-    """The inverse of `to_preset`. Raises HandModelError for whatever else the text is."""
+    """Read the tables from the text of a preset file. Raises HandModelError for whatever else the text is."""
     data = _json(text, "preset")
     if not isinstance(data, list):
         raise HandModelError("this is no preset of a hand's bones: it is no list of tables")
@@ -134,7 +140,7 @@ def from_preset(text: str) -> list[HandMap]:
 
 
 def read_preset(path: str | os.PathLike[str]) -> list[HandMap]:
-    """The tables of a preset file. Raises HandModelError, which names it."""
+    """Read the tables of a preset file. Raises HandModelError, which names the file."""
     try:
         return from_preset(read_file(path, _MAX_PRESET_BYTES).decode("utf-8", "replace"))
     except (OSError, ValueError) as error:
@@ -164,5 +170,5 @@ def _names(data: Any, keys: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def empty_map(side: Side) -> HandMap:
-    """A table in which nothing is chosen yet."""
+    """Return the table of a hand of that side in which no bone is chosen yet."""
     return HandMap(side, ("",) * NUM_JOINTS)

@@ -1,4 +1,5 @@
-"""Which bones of a skeleton are a hand: by how they branch and where they lie, and by what they are called.
+"""Recognition of the bones of a skeleton that are a hand: by how they branch and where they lie, and by what
+they are called.
 
 A hand is a bone from which chains of bones fan out. The thumb is the chain that begins nearest the wrist and
 points elsewhere; the others stand in a row away from it. Which bone is a finger's first is told by places: a
@@ -29,13 +30,13 @@ from handfit_core.retarget.hand_map import USUAL_THUMB_ROLL, HandMap
 from handfit_core.retarget.transfer import leaning, unit
 
 LABEL: Final = "By its structure"
-"""`HandMap.rig` of a hand whose names say nothing"""
+"""The text of `HandMap.rig` for a hand whose names say nothing"""
 DOUBTFUL: Final = 0.35
-"""Sureness below which a hand may be none"""
+"""Sureness, 0..1, below which what was found may be no hand"""
 UNKNOWN: Final = "not known as a finger's"
-"""Why `left_out` names bones that are neither metacarpals nor tips"""
+"""The reason, as `left_out` gives it, for bones that are neither metacarpals nor tips"""
 _LEAST: Final = 0.2
-"""Sureness below which feet, jaws and hair stay"""
+"""Sureness, 0..1, below which nothing is taken for a hand, as feet, jaws and hair are not"""
 
 _WORDS: Final = re.compile(
     "(?i:left|right)|[左右]|[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|[0-9]+|(?:(?![左右])[^\\W\\d_a-zA-Z])+"
@@ -46,23 +47,23 @@ _FINGER: Final = re.compile(
     "(?P<thumb>thumb|親指|拇)|(?P<index>index|forefinger|fore(?!arm)|pointer|人(?:差し?)?指|食指)"
     "|(?P<middle>middle|mid|中指)|(?P<ring>ring|薬指|无名指)|(?P<little>little|pinky|pinkie|小指)"
 )
-"""Names of fingers, in several languages"""
+"""Names of fingers, in several languages, as named groups"""
 _GLUED: Final = re.compile(rf"[lr](?=(?:hand|wrist|finger|carpal|{_FINGER.pattern})$)")
-"""A side that stands before a word without anything between, as in lindex"""
+"""A letter for the side that stands before a word without anything between, as in lindex"""
 _METACARPAL: Final = re.compile("carpal|meta(?!rig)|palm|inhand")
 _TIP: Final = re.compile("(?:tip|end|nub|leaf|null|先)(?:joint|jnt|bone)?$")
 _FILLERS: Final = re.compile(
     "finger|fing|handstart|hand|wrist|metacarpal|carpal|meta|palm|proximal|intermediate|medial|middle|distal"
     "|phalanx|base|start|joint|jnt|bone"
 )
-"""Words of a finger bone's name that do not tell which finger it is"""
+"""Words in the name of a finger's bone that do not tell which finger it is"""
 _HAND: Final = re.compile("hand|wrist|palm|thumb|finger|mitt|手|指")
-"""Words of which a name must have one if two chains are to be a mitten: ears, legs and straps come in
-pairs, too"""
+"""Words of which a name must have one if two chains of bones are to be a mitten: ears, legs and straps come
+in pairs, too"""
 _HELPER: Final = re.compile("twist|(?<![ct])roll|helper|hlp|corrective|offset|sdk|捩")
-"""Bones beside or between those of a finger"""
+"""Words in the names of bones that lie beside or between those of a finger and help to deform it"""
 _PROP: Final = re.compile("weapon|prop|item|attach|socket|slot|hold|grip|sleeve|twist|roll|ik$")
-"""Bones that are attached to hands but are no fingers"""
+"""Words in the names of bones that are attached to hands but are no fingers"""
 _NO_HAND: Final = re.compile("toe|foot|ankle|paw|claw|hair|skirt|wing|tail|cloth|feather|足|髪|スカート")
 
 _FINGERS_FOLLOWED: Final = {
@@ -71,11 +72,14 @@ _FINGERS_FOLLOWED: Final = {
     2: (("index",), ("middle", "ring", "little")),
     1: (("index", "middle", "ring", "little"),),
 }
-"""Captured fingers that the fingers of a hand follow, by their number without the thumb, from the index on"""
+"""The captured fingers that each finger of a hand follows, from the index on, by how many fingers the hand
+has without its thumb"""
 _MOST_BONES: Final = 14
-"""Bones below a hand's child, with twists and helpers, beyond which it is no finger but a limb"""
+"""Number of bones below a hand's child, with twists and helpers, beyond which the child begins no finger but
+a limb"""
 _REACH: Final = {"finger": 1.43, "thumb": 0.53}
-"""How far from the wrist a finger begins, by how long its first two bones are together: of our hand"""
+"""Distance from the wrist to where a finger or the thumb begins, as a multiple of the length of its first two
+bones, measured on our hand"""
 
 _RIGS: Final = (
     ("Rigify bones", r"thumb\.01\.L/f_index\.01\.L"),
@@ -101,41 +105,42 @@ _RIGS: Final = (
     ("Rokoko", "LeftFinger1Metacarpal/LeftFinger2Proximal"),
     ("Captured hand", r"(?i:thumb_metacarpal\.L/index_proximal\.L)"),
 )
-"""Names that programs give to the first bones of thumb and index finger of a left hand. The first one that
-fits counts"""
+"""Names of rigs, with patterns of the names that they give to the first bones of thumb and index finger of a
+left hand. The first pattern that fits counts"""
 _THUMB_ROLLS: Final = {"MakeHuman": 15.0, "SMPL-X": 0.0, "Captured hand": 0.0}
-"""`HandMap.thumb_roll` where it is not the usual one: nails of characters that were inspected then face where
-ours do"""
+"""`HandMap.thumb_roll` in degrees of the rigs for which it is not the usual one: nails of characters that
+were inspected then face where ours do"""
 
 
 @dataclass(frozen=True)
 class Name:
-    """A bone's name, taken apart."""
+    """The parts of a bone's name: its words, side and numbers."""
 
     side: Side | None
     words: str
-    """Its words without side and numbers, in small letters, without what stands between them"""
+    """The words of the name in small letters, without side and numbers, and without what stands between
+    them"""
     numbers: tuple[int, ...]
     left: str
-    """How the bone of the left side is called"""
+    """The name that the bone of the left side has"""
     copy: str
-    """The number that Blender has put behind it, as in `.001`"""
+    """The number that Blender has put behind the name of a copy, as in `.001`"""
 
     @property
     def finger(self) -> str | None:
-        """The finger that it names."""
+        """The finger that the name tells; None where it tells none."""
         found = _FINGER.search(self.words)
         return found.lastgroup if found else None
 
     @property
     def family(self) -> str:
-        """What the name holds besides what it says of a finger's bone, as the bones of one hand share it."""
+        """The rest of the name besides what it says of a finger's bone, which the bones of one hand share."""
         return _FILLERS.sub("", re.sub(f"f?(?:{_FINGER.pattern})", "", self.words, count=1))
 
 
 @functools.lru_cache(maxsize=8192)
 def parsed(name: str) -> Name:
-    """A bone's name, taken apart."""
+    """Take a bone's name apart."""
     text = unicodedata.normalize("NFKC", name)
     copy = _COPY.search(text)
     text = text[: copy.start()] if copy else text
@@ -161,17 +166,17 @@ def parsed(name: str) -> Name:
 
 @dataclass(frozen=True)
 class Found:
-    """A hand that was recognised."""
+    """A hand that was recognised among the bones of an armature."""
 
     hand_map: HandMap
     sure: float
-    """0 (not at all) to 1"""
+    """How sure it is that this is a hand, from 0 (not at all) to 1"""
     but: str = ""
-    """Where names were not believed: a sentence"""
+    """A sentence for the user where names were not believed; else empty"""
 
 
 class SeveralHands(HandModelError):
-    """There are hands of one side that are as sure as each other."""
+    """Raised where an armature has several hands of one side that are as sure as each other."""
 
     def __init__(self, sentence: str, sure: float) -> None:
         super().__init__(sentence)
@@ -179,7 +184,8 @@ class SeveralHands(HandModelError):
 
 
 def the_surest(found: Sequence[Found], bones: Bones, driven: Collection[str] = ()) -> Found | None:
-    """The surest of the hands that were found on one side, the surest first; None where there are none.
+    """Return the surest of the hands that were found on one side, which come in order of sureness; None where
+    there are none.
 
     Where several are of one hand, as a rig's controls and the bones that follow them, it is the one with the
     fewest bones among `driven`, whose own keys would do nothing. Raises SeveralHands where two hands of the
@@ -202,12 +208,12 @@ def the_surest(found: Sequence[Found], bones: Bones, driven: Collection[str] = (
 
 
 def _ends(hand_map: HandMap) -> tuple[str, str]:
-    """Where a palm begins and where it ends: bones."""
+    """Return the names of the bones at which a palm begins and ends."""
     return hand_map.bones[0], hand_map.bones[next(j for j in (4, 1, 7, 10, 13) if hand_map.bones[j])]
 
 
 def hands_in(bones: Bones, side: Side) -> list[Found]:
-    """Every hand of that side, the surest first.
+    """Find every hand of that side, the surest first.
 
     One hand may be found several times, as the controls and the deforming bones of a control rig. Where some
     have a counterpart on the other side, one that has none, such as a prosthesis, is left out.
@@ -231,12 +237,12 @@ def hands_in(bones: Bones, side: Side) -> list[Found]:
 
 @dataclass(frozen=True)
 class _Chain:
-    """A finger, perhaps."""
+    """A chain of bones at a hand that may be a finger, as indices of the armature's bones."""
 
     stem: tuple[int, ...]
-    """Bones between hand and finger that it shares with others"""
+    """The bones between hand and finger that this chain shares with other chains"""
     own: tuple[int, ...]
-    """Its own ones, from the hand on, without those that are called tips or helpers"""
+    """The chain's own bones, from the hand on, without those that are called tips or helpers"""
 
     @classmethod
     def of(cls, bones: Bones, stem: Sequence[int], own: Sequence[int]) -> _Chain:
@@ -248,7 +254,7 @@ class _Chain:
 
 
 def _fans(bones: Bones) -> Iterator[tuple[int, list[_Chain]]]:
-    """The bones from which chains hang like fingers, and these."""
+    """Yield the bones from which chains hang as fingers hang from a hand, each with its chains."""
     count = len(bones.names)
     depth = np.array([not _HELPER.search(parsed(name).words) for name in bones.names], dtype=int)
     alone, size = depth.copy(), np.ones(count, dtype=int)
@@ -283,7 +289,8 @@ def _fans(bones: Bones) -> Iterator[tuple[int, list[_Chain]]]:
 
 
 def _families(bones: Bones, side: Side) -> Iterator[tuple[int, list[_Chain]]]:
-    """Hands whose fingers are named, with whatever other bones between theirs."""
+    """Yield the hands whose fingers are named, each with its fingers' chains, whatever other bones lie
+    between theirs."""
     groups: dict[tuple[str, str, Side | None], dict[str, list[int]]] = {}
     for bone, text in enumerate(bones.names):
         name = parsed(text)
@@ -309,7 +316,8 @@ def _is_hand(name: Name) -> bool:
 
 
 def _chosen(bones: Bones, chains: list[_Chain]) -> list[_Chain]:
-    """Those of the chains at a hand that are fingers, where others, such as a weapon's, hang there, too."""
+    """Return those of the chains at a hand that are fingers, where others, such as a weapon's, hang there,
+    too."""
     names = {chain: parsed(bones.names[chain.own[0]]) for chain in chains}
     chains = [chain for chain in chains if names[chain].finger or not _PROP.search(names[chain].words)]
     if len(chains) < 6:
@@ -319,10 +327,11 @@ def _chosen(bones: Bones, chains: list[_Chain]) -> list[_Chain]:
 
 
 class _Reading:
-    """The chains at a hand as fingers."""
+    """A reading of the chains at a hand as fingers: where each begins, points to, and how far it stands
+    apart."""
 
     def __init__(self, bones: Bones, hand: int, chains: list[_Chain]) -> None:
-        """Raises HandModelError where bones lie in one place."""
+        """Read the chains at the bone `hand`. Raises HandModelError where bones lie in one place."""
         self.bones, self.chains = bones, chains
         self.wrist = bones.heads[hand]
         self.close = False
@@ -335,26 +344,28 @@ class _Reading:
         self.apart = np.array([self._apart(i) for i in range(len(chains))])
 
     def at(self, bone: int) -> np.ndarray:
-        """Where a bone begins (3,)."""
+        """Return where a bone begins at rest, (3,) in the armature's space."""
         return self.bones.heads[bone]
 
     def far(self, bone: int) -> float:
-        """How far from the wrist a bone begins."""
+        """Return how far from the wrist a bone begins, in the armature's units."""
         return float(np.linalg.norm(self.at(bone) - self.wrist))
 
     def words(self, bone: int) -> str:
         return parsed(self.bones.names[bone]).words
 
     def long(self, own: Sequence[int]) -> float:
-        """How long the way is from where the first of these bones begins to where the last one does."""
+        """Return the length, in the armature's units, of the way from where the first of these bones begins
+        to where the last one does."""
         return float(np.linalg.norm(np.diff(self.bones.heads[list(own)], axis=0), axis=-1).sum())
 
     def reach(self, own: Sequence[int]) -> float:
-        """How far from the wrist these bones begin, by how long they are."""
+        """Return how far from the wrist these bones begin, as a multiple of their length."""
         return self.far(own[0]) / max(self.long(own), 1e-9)
 
     def _beginning(self, length: int) -> int:
-        """Which bone of the chains with so many begins at a knuckle: those before are metacarpals."""
+        """Return the index, in the chains of `length` bones, of the bone that begins at a knuckle: those
+        before it are metacarpals."""
         owns = [chain.own for chain in self.chains if len(chain.own) == length]
         if length < 3 or (length == 3 and len(owns) == 1):
             return 0
@@ -382,7 +393,7 @@ class _Reading:
         return int(np.argmin(doubts))
 
     def _apart(self, i: int) -> float:
-        """How much a chain stands apart as thumbs do."""
+        """Return how much a chain stands apart from the others, as thumbs do."""
         own, others = self.chains[i].own, [j for j in range(len(self.chains)) if j != i]
         usual = float(np.median([self.far(self.starts[j]) for j in others]))
         if not usual > 0.0:
@@ -393,8 +404,8 @@ class _Reading:
         return 2.0 * max(1.0 - near, 0.0) + float(np.arccos(np.clip(aside, -1.0, 1.0))) / (0.5 * np.pi)
 
     def row(self, thumb: int) -> tuple[list[int], np.ndarray]:
-        """The other chains, from the thumb's side on, and where they lie in that row; by their directions
-        from the wrist, as metacarpals differ in length."""
+        """Return the other chains in their row, from the thumb's side on, and their places (N,) along it; by
+        their directions from the wrist, as metacarpals differ in length."""
         others = [i for i in range(len(self.chains)) if i != thumb]
         rays = self.rays[others]
         _, sizes, axes = np.linalg.svd(rays - rays.mean(axis=0))
@@ -405,7 +416,8 @@ class _Reading:
         return [others[i] for i in order], (rays @ row)[order]
 
     def named(self) -> list[str | None]:
-        """The finger that each chain is called; by numbers, the thumb's is the lowest."""
+        """Return for each chain the finger that its name tells, or None. Where all are numbered, the thumb
+        has the lowest number."""
         names = [parsed(self.bones.names[start]) for start in self.starts]
         told = [name.finger for name in names]
         counted = [name.numbers for name in names]
@@ -417,7 +429,8 @@ class _Reading:
         return told
 
     def thumb_bones(self, thumb: int, behind: int) -> tuple[int, ...]:
-        """Which bones of the thumb's chain are its own, where so many hang at the ends of other fingers."""
+        """Return the bones of the thumb's chain that are its own, where `behind` bones hang at the ends of
+        the other fingers."""
         own = self.chains[thumb].own
         if len(own) == 2 + behind and self.reach(own[:3]) > 0.9:
             return own[:2]
@@ -431,7 +444,7 @@ class _Reading:
 
 
 def _hand(bones: Bones, hand: int, chains: list[_Chain]) -> Found | None:
-    """The hand that begins at a bone; None where it is none."""
+    """Return the hand that begins at a bone, with its chains as fingers; None where it is none."""
     chains = _chosen(bones, chains)
     every = [hand, *(bone for chain in chains for bone in (*chain.stem, *chain.own))]
     names = [parsed(bones.names[bone]) for bone in every]
@@ -505,14 +518,16 @@ def _hand(bones: Bones, hand: int, chains: list[_Chain]) -> Found | None:
 
 
 def _rig(reading: _Reading, thumb: int, others: list[int]) -> str:
-    """The name of the rig whose bones have these names."""
+    """Return the name of the rig whose bones are named so, or a phrase that says how the hand was read where
+    no rig's are."""
     first = [parsed(reading.bones.names[reading.starts[i]]).left for i in (thumb, others[0])]
     said = "/".join(re.sub(r"^(?:DEF-|(?!mixamorig)\w+:)", "", name) for name in first)
     return next((label for label, pattern in _RIGS if re.fullmatch(pattern, said)), "By names and structure")
 
 
 def left_out(bones: Bones, hand_map: HandMap) -> dict[str, list[str]]:
-    """The bones below a hand's that its motion is not keyed on, by why not."""
+    """Return the names of the bones below a hand's own that its motion is not keyed on, by the reason why
+    not."""
     hand, keyed = bones.index[hand_map.bones[0]], {bones.index[name] for name in hand_map.keyed}
     before = {above for bone in keyed for above in bones.ancestors(bone)}
     found: dict[str, list[str]] = {}
@@ -531,12 +546,14 @@ def left_out(bones: Bones, hand_map: HandMap) -> dict[str, list[str]]:
 _FOREARM = ("forearm", "lowerarm", "elbow", "ひじ", "前腕")
 _UPPER_ARM = ("arm", "shldr", "腕")
 _NOT_ARM = ("twist", "roll", "捩", "armature")
-"""Words in `Name.words` of the bones of an arm; a clavicle may be called a shoulder, as an upper arm may"""
+"""Words that tell forearms and upper arms in `Name.words`, and words that no bone of an arm has; a clavicle
+may be called a shoulder, as an upper arm may"""
 
 
 def named_arm(chain: Sequence[str]) -> tuple[int, int] | None:
-    """Which of the bones above a hand, the nearest first, are upper arm and forearm by their names; of those
-    that are parted, the first parts."""
+    """Return which of the bones above a hand, whose names come nearest first, are upper arm and forearm by
+    their names, as two indices; of those that are split into parts, the first part. None where names do not
+    tell."""
 
     def last(words: tuple[str, ...], start: int, without: tuple[str, ...]) -> int | None:
         held = [i for i in range(start, len(plain)) if any(word in plain[i] for word in words)]

@@ -1,6 +1,5 @@
-"""The user's rigs: which bones are the hands of a studio's characters, taught once. Each is a preset file in
-one folder, by its name, and is for every armature that has all bones it names.
-"""
+"""The user's rigs, which say once for all which bones are the hands of a studio's characters. Each is a
+preset file in one folder, by its name, and is for every armature that has all bones it names."""
 
 from __future__ import annotations
 
@@ -19,46 +18,46 @@ from handfit_core.retarget.hand_map import HandMap, read_preset, to_preset
 
 SUFFIX: Final = ".json"
 _MOST: Final = 200
-"""files that are read"""
+"""Most files of the folder that are read"""
 _NAME: Final = re.compile(r"(?!(con|prn|aux|nul|com\d|lpt\d)(\.|$))\w([\w .()+-]{0,58}[\w)+-])?", re.I)
-"""File names that every system allows"""
+"""Names of files that every system allows"""
 
 
 @dataclass(frozen=True)
 class SavedRig:
-    """One rig of the user's."""
+    """A rig that the user has saved: its name and its tables."""
 
     name: str
     tables: tuple[HandMap, ...]
-    """of one hand or both"""
+    """The tables of one hand or of both"""
 
     def of(self, side: Side) -> HandMap | None:
-        """The table of one hand; None where it has none."""
+        """Return the table of the hand of that side; None where the rig has none."""
         return next((table for table in self.tables if table.side == side), None)
 
     @property
     def label(self) -> str:
-        """The label that an artist reads."""
+        """The label that an artist reads in lists."""
         return f"{self.name}, your rig"
 
     @property
     def path(self) -> Path:
-        """Its file."""
+        """The path of the rig's file."""
         return rigs_folder() / f"{self.name}{SUFFIX}"
 
     @functools.cached_property
     def bones(self) -> frozenset[str]:
-        """All bones that it names."""
+        """Names of all bones in the rig's tables."""
         return frozenset().union(*(table.named for table in self.tables))
 
 
 def rigs_folder() -> Path:
-    """Where the user's rigs are."""
+    """Return the folder of the user's rigs."""
     return data_dir() / "rigs"
 
 
 def rig_path(name: str) -> Path:
-    """The file of a rig. Raises OptionError for what can be no name."""
+    """Return the path of a rig's file, by the rig's name. Raises OptionError for text that can be no name."""
     name = storable(name).strip()
     if not _NAME.fullmatch(name):
         raise OptionError(
@@ -68,8 +67,9 @@ def rig_path(name: str) -> Path:
 
 
 def saved_rigs() -> tuple[dict[str, SavedRig], tuple[str, ...]]:
-    """The user's rigs by their names, in alphabetical order, and why other files there are none, a sentence
-    each. Panels ask at every redraw: files are read again when one was added, changed or removed."""
+    """Return the user's rigs by their names, in alphabetical order, and for every other file in the folder a
+    sentence that says why it is none. Panels ask at every redraw: files are read again when one was added,
+    changed or removed."""
     folder = rigs_folder()
     try:
         with os.scandir(folder) as entries:
@@ -86,7 +86,7 @@ def saved_rigs() -> tuple[dict[str, SavedRig], tuple[str, ...]]:
 def _read(
     folder: Path, files: tuple[tuple[str, int, int], ...]
 ) -> tuple[dict[str, SavedRig], tuple[str, ...]]:
-    """`saved_rigs`, of files of these names, times of change and sizes."""
+    """Read the rigs as `saved_rigs` returns them, from files of these names, times of change and sizes."""
     rigs, troubles = dict[str, SavedRig](), list[str]()
     if len(files) > _MOST:
         troubles.append(f"{shown(folder)}: only the first {_MOST} of {len(files)} saved rigs are read")
@@ -99,7 +99,7 @@ def _read(
 
 
 def read_rig(path: Path) -> list[HandMap]:
-    """The tables of a file, each of which names a hand. Raises HandModelError, which names the file."""
+    """Read the tables of a file, each of which names a hand. Raises HandModelError, which names the file."""
     tables = read_preset(path)
     for table in tables:
         try:
@@ -110,16 +110,16 @@ def read_rig(path: Path) -> list[HandMap]:
 
 
 def fitting_rig(names: Collection[str], side: Side) -> SavedRig | None:
-    """The rig for a hand of an armature whose bones have these names: of those whose bones are all among
-    them the one that names the most; None for none."""
+    """Find the saved rig for a hand of an armature whose bones have these names: of the rigs whose bones are
+    all among them the one that names the most; None where no rig fits."""
     there = frozenset(names)
     fitting = [rig for rig in saved_rigs()[0].values() if rig.of(side) is not None and rig.bones <= there]
     return max(fitting, key=lambda rig: len(rig.bones), default=None)
 
 
 def save_rig(name: str, tables: Sequence[HandMap]) -> Path:
-    """Save a rig under a name, in place of one of that name. Returns its file. Raises OptionError,
-    HandModelError and OutputError."""
+    """Save a rig under a name, in place of an older one of that name, and return the path of its file. Raises
+    OptionError, HandModelError and OutputError."""
     for table in tables:
         table.check(table.named)
     path = rig_path(name)
@@ -129,13 +129,13 @@ def save_rig(name: str, tables: Sequence[HandMap]) -> Path:
 
 
 def write_rig(path: Path, tables: Sequence[HandMap]) -> None:
-    """Write a rig's file anywhere. Raises OutputError."""
+    """Write a rig's file to any path. Raises OutputError."""
     with written_whole(path, read_preset) as beside:
         beside.write_text(to_preset(tables), encoding="utf-8")
 
 
 def forget_rig(name: str) -> None:
-    """Remove a rig's file. Raises OptionError and OutputError."""
+    """Remove a saved rig's file. Raises OptionError and OutputError."""
     rig = saved_rigs()[0].get(name)
     if rig is None:
         raise OptionError(f"there is no saved rig {shown(name)}")

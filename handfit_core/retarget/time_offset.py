@@ -17,17 +17,17 @@ from handfit_core.common.errors import OptionError
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 
 _SMOOTHED: Final = 0.06
-"""seconds, standard deviation: captured wrists shake"""
+"""seconds: standard deviation of the Gaussian under which motion is smoothed, since captured wrists shake"""
 _APART: Final = 0.5
-"""seconds by which other peaks lie away from the best one"""
+"""seconds from the best peak of the score beyond which other peaks count as others"""
 _SHORTEST: Final = 1.0
-"""seconds that both have to move together at least, and half of the shorter motion"""
+"""seconds that both wrists have to move together at least, beside half of the shorter motion"""
 _STILL: Final = 0.05
 """radians and palms' lengths per second, root mean square, below which a wrist does not move"""
 _LOUD: Final = 3.0
-"""times the root mean square at which a velocity is cut off, as where a capture jumps"""
+"""Multiple of its root mean square at which a velocity is cut off, as where a capture jumps"""
 _FOR_SURE: Final = 0.5
-"""of `FoundOffset.sure`"""
+"""Value of `FoundOffset.sure` from which on the offset is said to be sure"""
 _SURE: Final = 0.6
 """Score from which on only other peaks leave doubt: made motions that had nothing in common had 0.17 at their
 best lag, in the middle, and those that were the same 1.3"""
@@ -35,37 +35,37 @@ best lag, in the middle, and those that were the same 1.3"""
 
 @dataclass(frozen=True, eq=False)
 class WristMotion:
-    """How a wrist moves on T whole frames that follow each other."""
+    """The motion of a wrist on T whole frames that follow each other."""
 
     first: int
-    """the first one"""
+    """The number of the first of these frames"""
     turns: np.ndarray
-    """(T, 3, 3) how it is turned from its rest, whose axes both motions of a pair share"""
+    """(T, 3, 3) rotations of the wrist from its rest, whose axes both motions of a pair share"""
     places: np.ndarray
-    """(T, 3) in palms' lengths: where it is"""
+    """(T, 3) the wrist's places, in palms' lengths"""
 
 
 @dataclass(frozen=True)
 class FoundOffset:
-    """Where captured motion belongs."""
+    """The offset in time that was found between captured motion and a character's, and how sure it is."""
 
     frames: int
-    """The character's frame minus the captured one"""
+    """The character's frame number minus the captured one"""
     sure: float
-    """0 (not at all) to 1"""
+    """How sure the offset is, from 0 (not at all) to 1"""
     agreement: float
-    """Correlation of how both wrists turn, -1..1"""
+    """The correlation of how both wrists turn, -1..1"""
 
     @property
     def said(self) -> str:
-        """A phrase that says how sure the offset is."""
+        """A phrase that tells a user how sure the offset is."""
         doubt = "for sure" if self.sure >= _FOR_SURE else "perhaps: look whether it fits"
         return f"{self.frames} frames, {doubt} ({self.sure:.2f}; turning agrees by {self.agreement:.2f})"
 
 
 def find_offset(pairs: Sequence[tuple[WristMotion, WristMotion]], fps: float) -> FoundOffset:
-    """The offset at which captured wrists, the first of each pair, move as the character's; `fps` frames per
-    second of both. Raises OptionError where one of them hardly moves, or too briefly."""
+    """Find the offset at which captured wrists, the first of each pair, move as the character's, the second;
+    both have `fps` frames per second. Raises OptionError where one of them hardly moves, or too briefly."""
     first = min(own.first - captured.first - len(captured.turns) for captured, own in pairs)
     last = max(own.first + len(own.turns) - captured.first for captured, own in pairs)
     total, turning = np.zeros(last - first), np.zeros(last - first)
@@ -87,7 +87,8 @@ def find_offset(pairs: Sequence[tuple[WristMotion, WristMotion]], fps: float) ->
 
 
 def _velocities(motion: WristMotion, fps: float, name: str) -> np.ndarray:
-    """(T - 1, 5) angular velocity about the wrist's own axes, how fast it turns, how fast it goes."""
+    """Return five velocities per frame, (T - 1, 5): the angular velocity about the wrist's own three axes,
+    how fast it turns, and how fast it goes."""
     turns, places = motion.turns, motion.places
     if not (np.isfinite(turns).all() and np.isfinite(places).all()):
         raise OptionError(f"the {name} is nowhere in some frames: type the offset")
@@ -105,14 +106,14 @@ def _velocities(motion: WristMotion, fps: float, name: str) -> np.ndarray:
 
 
 def _cut_off(velocities: np.ndarray) -> np.ndarray:
-    """Velocities (T, 3) with none that is far too large."""
+    """Return velocities (T, 3) in which those that are far too large are cut off."""
     sizes = np.linalg.norm(velocities, axis=1)
     most = _LOUD * np.sqrt(np.mean(sizes**2))
     return velocities * np.minimum(1.0, most / np.maximum(sizes, 1e-12))[:, None]
 
 
 def _smoothed(values: np.ndarray, sigma: float) -> np.ndarray:
-    """Columns (T, C) under a Gaussian of some frames."""
+    """Smooth columns (T, C) over time under a Gaussian whose standard deviation is `sigma` frames."""
     reach = min(int(np.ceil(3.0 * sigma)), (len(values) - 1) // 2)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     weights = np.convolve(np.ones(len(values)), kernel, "same")
@@ -120,8 +121,8 @@ def _smoothed(values: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def _correlations(a: np.ndarray, b: np.ndarray, least: float, *, centred: bool) -> np.ndarray:
-    """Correlation of a[t] (N, C) and b[t + lag] (M, C) over the rows that both have, for lags 1 - N to M - 1;
-    0 where these are fewer than `least`. `centred`: about the means of these rows."""
+    """Correlate a[t] (N, C) with b[t + lag] (M, C) over the rows that both have, for lags 1 - N to M - 1; 0
+    where these are fewer than `least`. `centred`: about the means of these rows."""
     size = 1 << int(np.ceil(np.log2(len(a) + len(b))))
 
     def lagged(x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -32,8 +32,8 @@ from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import PALM_FINGERS, HandMap
 
 _FOLD_SHARES = {"ring": 0.15, "little": 0.25}
-"""Largest share of the first joint's bend that a metacarpal takes over: a fist cups the palm by 10 to 20
-degrees"""
+"""Largest share of the first joint's bend that the metacarpal of ring or little finger takes over: a fist
+cups the palm by 10 to 20 degrees"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,24 +42,25 @@ class SourceHand:
 
     side: Side
     joints: np.ndarray
-    """(16, 3) by MANO's joints"""
+    """(16, 3) metres: the joints in MANO's order"""
     tips: np.ndarray
-    """(5, 3) thumb, index, middle, ring, little"""
+    """(5, 3) metres: the fingertips of thumb, index, middle, ring and little finger"""
     model: str = OPEN_HAND
-    """The hand model's name"""
+    """The name of the hand model"""
 
     @classmethod
     def of(cls, shaped: ShapedHand, side: Side, model: str = OPEN_HAND) -> SourceHand:
-        """The source hand of the hand model of that name with a shape."""
+        """Make the source hand of a shaped hand of that side, for the hand model of that name."""
         return cls(side, points_to_rest(shaped.joints), points_to_rest(shaped.tips), model)
 
     def mirrored(self) -> SourceHand:
-        """The other hand."""
+        """Return the hand of the other side, mirrored at x = 0 of rest space."""
         return SourceHand(other_side(self.side), self.joints @ MIRROR_X, self.tips @ MIRROR_X, self.model)
 
     def points(self, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where the joints (T, 16, 3) and fingertips (T, 5, 3) of posed hands are, the wrist neither turned
-        nor moved; metres. `turns` (T, 16, 3, 3) as `TargetHand.local` takes them."""
+        """Return where the joints (T, 16, 3) and fingertips (T, 5, 3) of posed hands are, in metres, with the
+        wrist neither turned nor moved. `turns` (T, 16, 3, 3) are each joint's rotations relative to its
+        parent, as `TargetHand.local` takes them."""
         whole = globally(turns)
         joints = np.broadcast_to(self.joints, (len(turns), NUM_JOINTS, 3)).copy()
         for joint in range(1, NUM_JOINTS):
@@ -75,10 +76,9 @@ class SourceHand:
 def smoothed_travel(
     frames: np.ndarray, places: np.ndarray, turns: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where a hand is (T, 3), and how it is turned (T, 3, 3), on frames (T,), increasing, without what
-    shakes: a straight line through the frames less than `reach` before and after each one, which count the
-    less the farther they are. Even motion stays as it is, up to its ends, and nothing is late.
-    """
+    """Return where a hand is (T, 3), and how it is turned (T, 3, 3), on frames (T,), increasing, without what
+    shakes: on a straight line through the frames less than `reach` before and after each one, which count the
+    less the farther they are. Even motion stays as it is, up to its ends, and nothing is late."""
     if reach <= 0.0 or len(frames) < 2:
         return places, turns
     values = np.concatenate([places, unflip_quats(rotmat_to_quat(turns))], axis=1)
@@ -98,13 +98,13 @@ def smoothed_travel(
 
 
 def mirrored_turns(turns: np.ndarray) -> np.ndarray:
-    """Rotations (..., 3, 3) of rest space as a mirror at x = 0 shows them."""
+    """Return rotations (..., 3, 3) of rest space as a mirror at x = 0 shows them."""
     return MIRROR_X @ turns @ MIRROR_X
 
 
 def globally(turns: np.ndarray) -> np.ndarray:
-    """(T, 16, 3, 3) each joint's rotation relative to its parent -> relative to the wrist, whose own is
-    left out."""
+    """Turn each joint's rotations (T, 16, 3, 3) relative to its parent into rotations relative to the wrist,
+    whose own is left out."""
     whole = np.array(turns)
     whole[:, 0] = np.eye(3)
     for joint in range(1, NUM_JOINTS):
@@ -118,28 +118,32 @@ class TargetHand:
 
     hand_map: HandMap
     bones: tuple[str, ...]
-    """K names, parents before children"""
+    """The names of the K bones, parents before children"""
     joints: tuple[tuple[int, ...], ...]
-    """The joints that each bone follows, by their mean; those of a metacarpal that folds, none"""
+    """For each bone the numbers of the joints that it follows, by their mean; none for a metacarpal that
+    folds"""
     parents: tuple[int, ...]
-    """Each bone's nearest ancestor among the K; -1 for none, which is the hand"""
+    """For each bone the index of its nearest ancestor among the K; -1 for none, where the parent is the
+    hand"""
     heads: np.ndarray
-    """(K, 3) where bones begin at rest, in the armature's space and units"""
+    """(K, 3) where the bones begin at rest, in the armature's space and units"""
     tips: np.ndarray
-    """(5, 3) where fingers end at rest; NaN for fingers that are not there"""
+    """(5, 3) where the fingers end at rest, in the armature's space and units; NaN for fingers that are not
+    there"""
     rest: np.ndarray
-    """(K, 3, 3) the bones' axes at rest, B"""
+    """(K, 3, 3) the bones' axes at rest in the armature's space: B of the module's formula"""
     corrected: np.ndarray
-    """(K, 3, 3) what lays each bone's direction over ours at rest, C"""
+    """(K, 3, 3) the rotations that lay each bone's direction over ours at rest: C of the module's formula"""
     aligned: np.ndarray
-    """(3, 3) from our rest space to the armature's, A"""
+    """(3, 3) the rotation from our rest space to the armature's: A of the module's formula"""
     scale: float
-    """How many of the armature's units a metre of the captured hand is: the palms' lengths compared"""
+    """How many of the armature's units a metre of the captured hand is, by the lengths of both palms"""
     wrist: np.ndarray
-    """(3,) where the hand's own bone begins at rest"""
+    """(3,) where the hand's own bone begins at rest, in the armature's space and units"""
 
     def standing(self, turns: np.ndarray) -> np.ndarray:
-        """(T, K, 3, 3) how the bones are to stand in the armature's space while the hand is at rest, P.
+        """Return how the bones are to stand in the armature's space while the hand is at rest, P of the
+        module's formula: (T, K, 3, 3).
 
         `turns` (T, 16, 3, 3) is each joint's rotation relative to its parent, in rest space; the wrist's is
         not looked at.
@@ -157,24 +161,26 @@ class TargetHand:
         return found
 
     def local(self, turns: np.ndarray) -> np.ndarray:
-        """(T, K, 3, 3) the bones' rotations relative to their own rest, as their channels have them."""
+        """Return the bones' rotations (T, K, 3, 3) relative to their own rest, as their channels have them,
+        from the joints' rotations `turns` (T, 16, 3, 3) relative to their parents."""
         return self.channels(self.standing(turns))
 
     def channels(self, standing: np.ndarray) -> np.ndarray:
-        """(T, K, 3, 3) what bones that stand so have in their channels: bones between them rest."""
+        """Return the rotations (T, K, 3, 3) in the channels of bones that stand as `standing` says; bones
+        between them rest."""
         found = np.empty_like(standing)
         for k in range(len(self.bones)):
             found[:, k] = np.swapaxes(self._carried(k, standing), -1, -2) @ standing[:, k]
         return found
 
     def _carried(self, k: int, standing: np.ndarray) -> np.ndarray:
-        """(T, 3, 3) how a bone at rest stands under a parent that stands so."""
+        """Return how bone k at rest stands, (T, 3, 3), under a parent that stands as `standing` says."""
         parent = self.parents[k]
         return self.rest[k] if parent < 0 else standing[:, parent] @ self.rest[parent].T @ self.rest[k]
 
     def turns(self, local: np.ndarray) -> np.ndarray:
-        """The inverse of `local`: (T, 16, 3, 3). Joints without a bone do not turn; what of a bone's rotation
-        ours cannot show is left in."""
+        """Return the joints' rotations (T, 16, 3, 3) that bones with these rotations show: the inverse of
+        `local`. Joints without a bone do not turn; what of a bone's rotation ours cannot show is left in."""
         standing = np.empty_like(local)
         for k in range(len(self.bones)):
             standing[:, k] = self._carried(k, standing) @ local[:, k]
@@ -192,8 +198,8 @@ class TargetHand:
         return found
 
     def points(self, standing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where bones that stand so begin (T, K, 3), and where fingers end (T, 5, 3), in the armature's space
-        and units while the hand is at rest. Tips of fingers that are not there are NaN."""
+        """Return where bones that stand so begin (T, K, 3), and where fingers end (T, 5, 3), in the
+        armature's space and units while the hand is at rest. Tips of fingers that are not there are NaN."""
         turned = standing @ np.swapaxes(self.rest, -1, -2)
         heads = np.broadcast_to(self.heads, (len(standing), *self.heads.shape)).copy()
         for k, parent in enumerate(self.parents):
@@ -207,15 +213,15 @@ class TargetHand:
         return heads, tips
 
     def last(self, finger: str) -> int | None:
-        """The index of a finger's last bone; None where it has none."""
+        """Return the index of a finger's last bone among the K; None where the finger has none."""
         chosen = [self.hand_map.bones[joint] for joint in FINGER_JOINTS[finger] if self.hand_map.bones[joint]]
         return self.bones.index(chosen[-1]) if chosen else None
 
 
 def target_hand(bones: Bones, hand_map: HandMap, source: SourceHand) -> TargetHand:
-    """The target for a captured hand of the same side. Raises HandModelError
-    where bones are missing, where the hand itself or what carries it stands for a finger, or where bones lie
-    so that there is no telling where the palm faces."""
+    """Return the target for a captured hand of the side of `hand_map`. Raises HandModelError where bones are
+    missing, where the hand itself or what carries it stands for a finger, or where bones lie so that there is
+    no telling where the palm faces."""
     hand_map.check(bones.index)
     names = sorted(hand_map.keyed, key=bones.index.__getitem__)
     at = [bones.index[name] for name in names]
@@ -276,8 +282,8 @@ def target_hand(bones: Bones, hand_map: HandMap, source: SourceHand) -> TargetHa
 
 
 def _knuckles(bones: Bones, hand_map: HandMap) -> dict[str, tuple[np.ndarray, list[int]]]:
-    """Where each finger of a character begins (3,), and the joints that begin there: of two fingers or more
-    where one bone stands for all of them, by the first one's name."""
+    """Return where each finger of a character begins (3,), and the joints that begin there, by the finger's
+    name: of two fingers or more where one bone stands for all of them, by the first one's name."""
     found: dict[str, tuple[str, list[int]]] = {}
     for finger in hand_map.fingers:
         joint = next(j for j in FINGER_JOINTS[finger] if hand_map.bones[j])
@@ -286,8 +292,8 @@ def _knuckles(bones: Bones, hand_map: HandMap) -> dict[str, tuple[np.ndarray, li
 
 
 def palm_frame(wrist: np.ndarray, knuckles: Mapping[str, np.ndarray], side: Side) -> tuple[np.ndarray, float]:
-    """Along the palm, towards the index finger and out of the back of the hand, as columns (3, 3), and how
-    long the palm is.
+    """Return the directions along the palm, towards the index finger and out of the back of the hand, as
+    columns (3, 3), and the length of the palm.
 
     `knuckles`: where each finger that is there begins, by its name. Hands with fewer fingers are laid over by
     those that they have. Raises HandModelError where there are too few, or where they lie on a line.
@@ -316,8 +322,8 @@ def palm_frame(wrist: np.ndarray, knuckles: Mapping[str, np.ndarray], side: Side
 
 
 def leaning(bones: Bones, hand_map: HandMap) -> float:
-    """How much a hand at rest looks like a left one, by where its fingers bend to and its thumb stands: below
-    zero like a right one, near zero (0.02) where it is as flat as a glove."""
+    """Return how much a hand at rest looks like a left one, by where its fingers bend to and its thumb
+    stands: below zero it looks like a right one, near zero (0.02) it is as flat as a glove."""
     heads = {j: bones.heads[bones.index[name]] for j, name in enumerate(hand_map.bones) if name}
     lines = {f: [heads[j] for j in FINGER_JOINTS[f] if j in heads] for f in hand_map.fingers}
     knuckles = {finger: head for finger, (head, _) in _knuckles(bones, hand_map).items()}
@@ -333,7 +339,8 @@ def leaning(bones: Bones, hand_map: HandMap) -> float:
 
 
 def finger_end(bones: Bones, chain: list[int]) -> np.ndarray:
-    """Where a finger ends at rest (3,): where the bone behind its last one begins, if there is one.
+    """Return where a finger ends at rest, (3,) in the armature's space: where the bone behind its last one
+    begins, if there is one.
 
     Else where its last bone ends, if tails mean anything in this finger: that of the bone before ends where
     the last one begins. Else a bit farther on the way from the bone before, or along the last one's Y.
@@ -353,7 +360,8 @@ def finger_end(bones: Bones, chain: list[int]) -> np.ndarray:
 
 
 def _mean(rotations: np.ndarray) -> np.ndarray:
-    """(T, N, 3, 3) -> (T, 3, 3) their mean, by quaternions that are near each other."""
+    """Return the mean (T, 3, 3) of rotations (T, N, 3, 3), by their quaternions, which are near each
+    other."""
     if rotations.shape[1] == 1:
         return rotations[:, 0]
     quats = rotmat_to_quat(rotations)
@@ -362,8 +370,8 @@ def _mean(rotations: np.ndarray) -> np.ndarray:
 
 
 def unit(vector: np.ndarray) -> np.ndarray:
-    """The vector (3,) with length 1, from one bone's beginning to another's. Raises HandModelError where they
-    are the same."""
+    """Return the vector (3,), which leads from one bone's beginning to another's, with length 1. Raises
+    HandModelError where both begin in one place."""
     length = np.linalg.norm(vector)
     if not length > 0.0:
         raise HandModelError(

@@ -17,15 +17,15 @@ _PAIRS: Final = np.array([int(np.flatnonzero((tips == PAIRS).all(axis=1))[0]) fo
 
 
 class Contact:
-    """One row for each pair of `seen.self_contact.pinch`: the gap g between their skins, with Geman and
-    McClure's kernel, s / (1 + s (touch_sigma / robust_scale)^2) of s = (g / touch_sigma)^2. One row for each
-    of `seen.touches`: g / user_touch_sigma."""
+    """The gaps between skins that touch: one row for each pair of `seen.self_contact.pinch`, of the gap g
+    between its skins, with Geman and McClure's kernel, s / (1 + s (touch_sigma / robust_scale)^2) of s = (g /
+    touch_sigma)^2; and one row for each of `seen.touches`: g / user_touch_sigma."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
 
     def __call__(self, posed: Posed, seen: Observation) -> PairRows:
-        """The rows of those of B posed hands in which parts touch."""
+        """Return the rows of B posed hands, for those whose parts touch."""
         capsules = self.surface.capsules(posed)
         found: list[PairRows] = []
         if seen.self_contact is not None:
@@ -44,7 +44,8 @@ class Contact:
 
 
 def _rows(posed: Posed, near: Near, sigma: float, weight: np.ndarray, excess: np.ndarray) -> PairRows:
-    """Rows of K gaps in sigmas times `weight` (K,), whose costs are `excess` (K,) times their squares."""
+    """Return rows of K gaps in sigmas times `weight` (K,), whose costs are `excess` (K,) times their
+    squares."""
     slope = between(posed, near.hand, near.bones, near.places, near.towards / sigma)
     columns = np.concatenate([slope, near.gap[:, None] / sigma], axis=1) * weight[:, None]
     return PairRows(near.hand, FINGER_OF_BONE[near.bones], columns, excess * np.square(columns[:, -1]))

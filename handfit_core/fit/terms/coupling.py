@@ -15,11 +15,12 @@ OFFSET = np.radians([0.0, 25.0, 18.0, 20.5, 20.5])
 """(5,) and (5,) radians: the last joint's bend is SLOPE times the middle one's less OFFSET. Measured on
 index, middle and ring finger; the little finger's is taken as the ring's"""
 _WEIGHT = np.array([0.0, 1.0, 1.0, 1.0, 1.0]) / TERMS.coupling_sigma
-"""The thumb has no such rule"""
+"""(5,) weight of the rule per radian, by finger; 0 for the thumb, which has no such rule"""
 
 
 def coupling(posed: Posed, seen: Observation) -> Rows:  # noqa: ARG001 (a term)
-    """One row for each finger: last - (slope * middle - offset)."""
+    """Return one row for each finger: last - (slope * middle - offset), of the bends of its last and middle
+    joints, over the expected deviation."""
     angles = posed.state.angles
     rows = Rows.zeros(FINGERS, len(angles), 1)
     rows.jacobian[..., 0, MIDDLE_BEND], rows.jacobian[..., 0, LAST_BEND] = -SLOPE * _WEIGHT, _WEIGHT

@@ -11,7 +11,8 @@ from handfit_core.hand_model.chain import Posed
 
 
 def depth(posed: Posed, seen: Observation) -> Rows:
-    """One row for each point: r = f / d (ray . x - d) - depth, with d where depth is zero.
+    """Return one row for each point: r = f / d (ray . x - d) - depth, with d the distance at which depth is
+    zero.
 
     Observed depth has no zero of its own: d is solved for where `seen.depth_zero` does not give it. It is the
     hand's distance, too, which turns metres into pixels.

@@ -10,9 +10,10 @@ from handfit_core.hand_model.chain import PLACE, Posed
 
 
 def distance(posed: Posed, seen: Observation) -> Rows:
-    """One row: r = (w . s / |s|^2 - 1) / sigma, with the anchor s of the wrist in `seen.anchor`.
+    """Return one row for each hand: r = (w . s / |s|^2 - 1) / sigma, with the anchor s of the wrist w in
+    `seen.anchor`.
 
-    Along the line of sight only; across it the wrist is free.
+    Only the distance along the line of sight is held; across it the wrist is free.
     """
     assert seen.anchor is not None
     start, sigma = seen.anchor.wrist, seen.anchor.distance_sigma

@@ -14,25 +14,28 @@ from handfit_core.geometry.rotations import rotvec_to_rotmat, skew
 from handfit_core.hand_model.chain import HAND_SIZE, Posed, State
 
 CAMERA_SIZE = 9
-"""The second camera's turn (3) and place (3), both logarithms of focal lengths, the offset in time"""
+"""Number of the cameras' variables: the second camera's turn (3) and place (3), the logarithms of both focal
+lengths, and the offset in time"""
 TURN, SHIFT, FOCAL, OFFSET = slice(0, 3), slice(3, 6), slice(6, 8), 8
 
 
 @dataclass(frozen=True, eq=False)
 class FilmedState(State):
-    """B hands, and the cameras that film them, the same in all rows: x_2 = rotation x_1 + translation."""
+    """B hands, and the two cameras that film them, which are equal in all rows: x_2 = rotation x_1 +
+    translation."""
 
     rotation: np.ndarray
-    """(B, 3, 3)"""
+    """(B, 3, 3) rotations from the first camera's frame to the second one's"""
     translation: np.ndarray
-    """(B, 3) metres"""
+    """(B, 3) metres: the translation from the first camera's frame to the second one's"""
     log_focal: np.ndarray
-    """(B, 2) of pixels, first and second camera"""
+    """(B, 2) logarithms of the focal lengths in pixels, of the first and the second camera"""
     offset: np.ndarray
     """(B,) seconds from the first view's start to the second one's"""
 
     def moved(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> FilmedState:
-        """The state after increments of the hand's variables and the cameras' (B, 26), and of the angles."""
+        """Return the state after increments (B, 26) of the hand's and the cameras' variables, and (B, 5, 9)
+        of the fingers' angles."""
         hand, cameras = of_hand[:, :HAND_SIZE], of_hand[:, HAND_SIZE:]
         return FilmedState(
             **vars(State.moved(self, hand, of_fingers)),
@@ -45,19 +48,19 @@ class FilmedState(State):
 
 @dataclass(frozen=True, eq=False)
 class CameraPrior:
-    """Four rows for each hand: both logarithms of focal lengths, their difference, and the offset, against
-    what is expected."""
+    """Four rows for each hand, that hold the logarithms of both focal lengths, their difference, and the
+    offset in time near what is expected."""
 
     log_focal: np.ndarray
-    """(2,)"""
+    """(2,) expected logarithms of both cameras' focal lengths in pixels"""
     focal_sigma: np.ndarray
-    """(2,)"""
+    """(2,) expected errors of these logarithms"""
     offset: float
-    """seconds"""
+    """seconds: the expected offset in time of the second view"""
     offset_sigma: float
 
     def __call__(self, posed: Posed, seen: Observation) -> Rows:  # noqa: ARG002 (a term)
-        """The rows of B posed hands, each of which has its share of the evidence."""
+        """Return the rows of B posed hands, each of which has its share of the evidence."""
         state = posed.state
         assert isinstance(state, FilmedState)
         weight = 1.0 / np.sqrt(VIEWS.evidence)
@@ -78,17 +81,19 @@ class Filmed(Batch):
     """The landmarks of B hands that one camera sees."""
 
     pixels: np.ndarray
-    """(B, 21, 2)"""
+    """(B, 21, 2) pixels at which the camera sees the landmarks"""
     speed: np.ndarray | None
-    """(B, 21, 2) pixels per second; None: the moment of the first view is certain"""
+    """(B, 21, 2) pixels per second at which the landmarks move in the picture; None for the first view, whose
+    moment is certain"""
     centre: np.ndarray
-    """(2,) pixels"""
+    """(2,) pixels: the camera's principal point"""
     sigma: np.ndarray
-    """(B, 21, 2) pixels; infinite where it saw nothing"""
+    """(B, 21, 2) pixels: expected errors of the landmarks; infinite where the camera saw nothing"""
 
 
 def projected(posed: Posed, filmed: Filmed, camera: int) -> Rows:
-    """Two rows for each point in that camera (0 or 1), u = f x / z + c, of `Filmed` at the state's offset."""
+    """Return two rows for each point seen by camera 0 or 1: the error of its projection u = f x / z + c
+    against the pixels of `filmed` at the state's offset in time."""
     state = posed.state
     assert isinstance(state, FilmedState)
     points, turn = posed.points, np.eye(3)[None]

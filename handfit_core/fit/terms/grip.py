@@ -14,9 +14,9 @@ from handfit_core.hand_model.surface import cross
 
 
 def grip(posed: Posed, seen: Observation) -> SkinRows:
-    """One row for each point of `seen.grip`, which must be there, that penetrates the prop: r = depth /
-    prop_penetration_sigma. One row for the nearest point of each pad that is drawn: r = drawn gap /
-    prop_touch_sigma."""
+    """Return one row for each point of `seen.grip`, which must be there, that penetrates the prop: r = depth
+    / prop_penetration_sigma; and one row for the nearest point of each pad that is drawn to it: r = drawn gap
+    / prop_touch_sigma."""
     assert seen.grip is not None
     aim: Grip = seen.grip
     places, gaps, out = aim.gaps(posed)
@@ -40,7 +40,8 @@ def grip(posed: Posed, seen: Observation) -> SkinRows:
 
 
 def near_wrist(posed: Posed, seen: Observation) -> Rows:
-    """Six rows: the wrist's turn / grip_turn_sigma and its way / grip_place_sigma from the captured ones."""
+    """Return six rows for each hand: how far its wrist is turned from the captured one, over grip_turn_sigma,
+    and moved from it, over grip_place_sigma."""
     assert seen.grip is not None
     state, captured = posed.state, seen.grip.captured
     rows = Rows.zeros(HAND, len(state), 6)

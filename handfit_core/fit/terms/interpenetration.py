@@ -12,14 +12,14 @@ from handfit_core.hand_model.surface import FINGER_OF_BONE, Surface
 
 
 class Interpenetration:
-    """One row for each pair of parts that overlap: r = (depth - compression) / penetration_sigma, or /
-    edit_penetration_sigma."""
+    """The overlap of a hand's parts: one row for each pair that overlaps, r = (depth - compression) /
+    penetration_sigma, or / edit_penetration_sigma where an artist corrects the pose."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
 
     def __call__(self, posed: Posed, seen: Observation) -> PairRows:
-        """The rows of those of B posed hands whose parts overlap."""
+        """Return the rows of B posed hands, for those whose parts overlap."""
         near = self.surface.near(self.surface.capsules(posed), within=-TERMS.compression)
         # The places are the nearest ones: to first order the gap does not change as they move on.
         corrected = seen.anchor is not None and np.isfinite(seen.anchor.limits_sigma)[near.hand]

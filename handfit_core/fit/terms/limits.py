@@ -23,8 +23,8 @@ _PER_RADIAN = (1.0 - TERMS.bent_spread_share) / (np.pi / 2) * np.array([0.0, 1.0
 
 
 class Limits:
-    """Nine rows for each finger, zero inside the range: r = (a - upper) / sigma above, (a - lower) / sigma
-    below.
+    """The violation of joint limits: nine rows for each finger, zero inside the range, r = (a - upper) /
+    sigma above it and (a - lower) / sigma below it.
 
     A knuckle's range of spread is scaled by 1 - (1 - bent_spread_share) * bend / 90 degrees, bend within
     0..90. All ranges are wider by `CLOSED_HAND_MARGIN`; where hands are to stay near a pose, by
@@ -37,11 +37,12 @@ class Limits:
 
     @property
     def angle_bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """(5, 9) and (5, 9) radians between which a solver's steps stay, without an anchor."""
+        """The least and the greatest angles, (5, 9) radians each, that a solver's step may reach where no
+        anchor holds the pose: the joints' limits with a margin."""
         return self.lower - TERMS.step_margin, self.upper + CLOSED_HAND_MARGIN + TERMS.step_margin
 
     def __call__(self, posed: Posed, seen: Observation) -> Rows:
-        """The rows of B posed hands."""
+        """Return the rows of B posed hands: nine for each finger, in sigmas."""
         anchor, sigma, below, above = seen.anchor, TERMS.limits_sigma, np.zeros(1), CLOSED_HAND_MARGIN
         if anchor is not None:
             own = np.isnan(anchor.limits_sigma)[:, None, None]
@@ -64,7 +65,8 @@ class Limits:
         return rows
 
     def _outside(self, angles: np.ndarray, below: np.ndarray, above: np.ndarray) -> np.ndarray:
-        """(B, 5, 9) radians beyond the ranges, which are widened by `below` and `above`."""
+        """Return by how many radians (B, 5, 9) angles lie outside their ranges, which are widened by `below`
+        and `above`."""
         left = np.ones_like(angles)
         left[..., SPREAD] -= _PER_RADIAN * np.clip(angles[..., BEND], 0.0, np.pi / 2)
         return angles - np.clip(angles, self.lower * left - below, self.upper * left + above)

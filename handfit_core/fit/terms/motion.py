@@ -19,8 +19,8 @@ SMALL = 1e-4
 
 
 def rotation_acceleration(rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(T, ..., 3, 3) rotations -> residuals (T - 2, ..., 3) in radians per frame squared, and their
-    derivatives (T - 2, 3, ..., 3, 3) by the increments of frames t - 1, t and t + 1."""
+    """Return the accelerations (T - 2, ..., 3) of rotations (T, ..., 3, 3), in radians per frame squared, and
+    their derivatives (T - 2, 3, ..., 3, 3) by the increments of frames t - 1, t and t + 1."""
     turn = rotmat_to_rotvec(np.swapaxes(rotations[:-1], -1, -2) @ rotations[1:])
     right, left = inverse_right_jacobian(turn), inverse_right_jacobian(-turn)
     residual = turn[1:] - turn[:-1]
@@ -29,13 +29,14 @@ def rotation_acceleration(rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def place_acceleration(places: np.ndarray) -> np.ndarray:
-    """(T, 3) -> (T - 2, 3) second differences; their derivatives are 1, -2, 1."""
+    """Return the second differences (T - 2, 3) of places (T, 3), in metres per frame squared; their
+    derivatives by the three frames are 1, -2 and 1."""
     return places[2:] - 2 * places[1:-1] + places[:-2]
 
 
 def inverse_right_jacobian(rotvec: np.ndarray) -> np.ndarray:
-    """(..., 3) -> (..., 3, 3): I + [w]/2 + (1/t^2 - (1 + cos t) / (2 t sin t)) [w]^2. The left one is that
-    of -w."""
+    """Return the inverse right Jacobians (..., 3, 3) of axis-angle vectors w (..., 3) of t radians: I + [w]/2
+    + (1/t^2 - (1 + cos t) / (2 t sin t)) [w]^2. The inverse left one of w is the right one of -w."""
     angle = np.linalg.norm(rotvec, axis=-1)[..., None, None]
     safe = np.maximum(angle, SMALL)
     # (1 + cos t) / sin t, written so that it stays finite at pi.

@@ -10,7 +10,8 @@ from handfit_core.hand_model.chain import Posed
 
 
 def near_pose(posed: Posed, seen: Observation) -> Rows:
-    """Nine rows for each finger: r = (a - anchor) / sigma, the difference taken the shorter way round.
+    """Return nine rows for each finger: r = (a - anchor) / sigma, the difference of angles taken the shorter
+    way round.
 
     `seen.anchor` must be there.
     """

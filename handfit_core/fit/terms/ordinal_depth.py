@@ -13,15 +13,16 @@ from handfit_core.hand_model.surface import FINGER_OF_BONE, Surface
 
 
 class OrdinalDepth:
-    """One row for each crossing of `seen.self_contact`: r = (separation - distance in the observed order) /
-    order_sigma where that is positive. Parts farther apart than that cost nothing, unless they are in
-    contact: then r / contact_sigma with Geman and McClure's kernel, as in `contact`."""
+    """The order in depth of crossing parts: one row for each crossing of `seen.self_contact`, r = (separation
+    - distance in the observed order) / order_sigma where that is positive. Parts farther apart than that cost
+    nothing, unless they are in contact: then r / contact_sigma with Geman and McClure's kernel, as in
+    `contact`."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
 
     def __call__(self, posed: Posed, seen: Observation) -> PairRows:
-        """The rows of those of B posed hands in which parts cross."""
+        """Return the rows of B posed hands, for those whose parts cross in the picture."""
         assert seen.self_contact is not None
         hand, pair = np.nonzero(seen.self_contact.front)
         front, along = seen.self_contact.front[hand, pair], seen.self_contact.along[hand, pair]

@@ -12,11 +12,13 @@ from handfit_core.hand_model.chain import Posed
 
 
 class PosePrior:
-    """Nine rows for each finger: W (a - mean), whose squares are the Mahalanobis distance, times
-    `pose_weight`, or `pinned_pose_weight`."""
+    """The distance of fingers from usual poses: nine rows for each finger, W (a - mean), whose squares are
+    the Mahalanobis distance, times `pose_weight`, or `pinned_pose_weight` where an artist has pinned
+    points."""
 
     def __init__(self, mean: np.ndarray, covariance: np.ndarray, side: Side = "right") -> None:
-        """mean (5, 9) radians and covariance (5, 9, 9) of right hands' angles."""
+        """Take the mean (5, 9), in radians, and the covariance (5, 9, 9) of right hands' angles, for hands of
+        `side`."""
         if side == "left":
             sign = np.tile([-1.0, -1.0, 1.0], 3)  # twist and spread change theirs
             mean, covariance = mean * sign, covariance * sign[:, None] * sign
@@ -24,7 +26,7 @@ class PosePrior:
         self._whiten = np.linalg.inv(np.linalg.cholesky(covariance))
 
     def __call__(self, posed: Posed, seen: Observation) -> Rows:
-        """The rows of B posed hands."""
+        """Return the rows of B posed hands: nine for each finger."""
         angles = posed.state.angles
         pinned = np.zeros(len(angles), dtype=bool) if seen.pinned is None else seen.pinned.any(axis=1)
         if seen.anchor is not None:

@@ -1,4 +1,4 @@
-"""Reprojection error: where landmarks project against where they were seen, in pixels."""
+"""Reprojection error of the landmarks: the pixels between where they project and where they were seen."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from handfit_core.hand_model.chain import Posed
 
 
 def reprojection(posed: Posed, seen: Observation) -> Rows:
-    """Two rows for each point, u = f x / z + c. Pinned points are certain."""
+    """Return two rows for each point: the pixels between its projection u = f x / z + c and where it was
+    seen, over their expected error. Pinned points are certain: their rows have no robust kernel."""
     points = posed.points
     inverse = 1.0 / np.maximum(points[..., 2:], TERMS.nearest)
     slope = points[..., :2] * inverse

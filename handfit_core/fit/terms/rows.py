@@ -1,4 +1,4 @@
-"""The results of terms: residuals with their derivatives, and the kernel that weights them."""
+"""The results that terms return: residuals with their derivatives, and the kernel that weights them."""
 
 from __future__ import annotations
 
@@ -20,38 +20,39 @@ POINTS: Group = "points"
 FINGERS: Group = "fingers"
 """5 groups of rows, as in `skeleton.FINGERS`: derivatives by the finger's nine angles, radians"""
 HAND: Group = "hand"
-"""One group of rows: derivatives by the hand's own 17 variables, as `hand_model.chain` orders them"""
+"""The kind of rows that belong to a hand as one group: derivatives by the hand's own 17 variables, as
+`hand_model.chain` orders them"""
 
 SIZES: dict[Group, tuple[int, int]] = {POINTS: (21, 4), FINGERS: (5, 9), HAND: (1, HAND_SIZE)}
-"""How many groups of a kind a hand has, and how many derivatives their rows have"""
+"""For each kind of rows, how many groups of it a hand has, and how many derivatives their rows have"""
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """c residuals of each point, finger or hand, for B hands, in sigmas."""
+    """Residuals of B hands, c for each point, finger or hand, in sigmas."""
 
     of: Group
     columns: np.ndarray
-    """(B, count, c, derivatives + 1), the residual last"""
+    """(B, count, c, derivatives + 1) for each residual its derivatives, and the residual itself last"""
     certain: np.ndarray | None = None
-    """(B, count) bool: residuals that count with their square, however large. The others have Huber's kernel
-    with delta 1 on the norm of a point's rows: square up to one sigma, linear beyond. None: all are
-    certain"""
+    """(B, count) bool: true for residuals that count with their square, however large. The others have
+    Huber's kernel with delta 1 on the norm of a point's rows: square up to one sigma, linear beyond. None:
+    all are certain"""
 
     @classmethod
     def zeros(cls, of: Group, batch: int, count: int) -> Rows:
-        """`count` rows of zeros for each point, finger or hand of `batch` hands."""
+        """Return `count` rows of zeros for each point, finger or hand of `batch` hands."""
         groups, derivatives = SIZES[of]
         return cls(of, np.zeros((batch, groups, count, derivatives + 1)))
 
     @property
     def residual(self) -> np.ndarray:
-        """(B, count, c), a view."""
+        """(B, count, c) the residuals in sigmas, as a view into the columns."""
         return self.columns[..., -1]
 
     @property
     def jacobian(self) -> np.ndarray:
-        """(B, count, c, derivatives), a view."""
+        """(B, count, c, derivatives) the residuals' derivatives, as a view into the columns."""
         return self.columns[..., :-1]
 
     def weighted(self) -> tuple[np.ndarray, np.ndarray]:
@@ -75,14 +76,15 @@ class PairRows(Batch):
     """K residuals between two parts of a hand, in sigmas. There are few, of some hands only."""
 
     hand: np.ndarray
-    """(K,) row of the batch"""
+    """(K,) the row of the batch in which each residual's hand stands"""
     fingers: np.ndarray
-    """(K, 2) which fingers, as in `skeleton.FINGERS`; a part of the palm counts as one that does not move"""
+    """(K, 2) the two fingers of each residual, by their numbers in `skeleton.FINGERS`; a part of the palm
+    counts as a finger that does not move"""
     columns: np.ndarray
     """(K, 22) derivatives by both fingers' nine angles and by the root's turn (3), and the residual; all of
     them multiplied with the root of the kernel's slope"""
     cost: np.ndarray
-    """(K,) squared sigmas"""
+    """(K,) the cost of each residual, in squared sigmas"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +92,10 @@ class SkinRows:
     """K residuals of places on fingers or on the palm, in sigmas, of hands whose shape is given."""
 
     hand: np.ndarray
-    """(K,) row of the batch"""
+    """(K,) the row of the batch in which each residual's hand stands"""
     finger: np.ndarray
-    """(K,) which finger, as in `skeleton.FINGERS`; the palm's rows may name any"""
+    """(K,) the finger of each residual, by its number in `skeleton.FINGERS`; the palm's residuals may name
+    any"""
     columns: np.ndarray
     """(K, 16) derivatives by the finger's nine angles, by the root's turn (3) and place (3), and the
     residual"""
@@ -122,8 +125,8 @@ def between(
 
 
 class Term(Protocol):
-    """One kind of residual of a fit."""
+    """A function that computes one kind of residual of a fit."""
 
     def __call__(self, posed: Posed, seen: Observation) -> Rows | PairRows | SkinRows:
-        """The rows of B posed hands against their observation."""
+        """Return the rows of B posed hands against their observation."""
         ...

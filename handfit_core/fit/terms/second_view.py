@@ -11,7 +11,8 @@ from handfit_core.hand_model.chain import Posed
 
 
 def second_view(posed: Posed, seen: Observation) -> Rows:
-    """Two rows for each point, u = f x / z + c of x = R p + t. `seen.second` must be there."""
+    """Return two rows for each point: the pixels between its projection u = f x / z + c, of x = R p + t, in
+    the second camera and where that camera saw it, over their expected error. `seen.second` must be there."""
     second = seen.second
     assert second is not None
     points = posed.points @ second.rotation.swapaxes(1, 2) + second.translation[:, None]

@@ -12,7 +12,8 @@ from handfit_core.hand_model.chain import BETAS, Posed
 
 
 class Shape:
-    """Ten rows, betas - expected, each of sigma 1; and one of the length, where it was measured.
+    """The deviation of a hand's shape: ten rows, betas - expected, each of sigma 1; and one of the length,
+    where it was measured.
 
     Where it was not, the ten count `shape_weight` times, except in the direction that changes the length.
     `length_rates` (10,): metres by which the length grows with each beta, in which it is almost linear; None:
@@ -39,7 +40,7 @@ class Shape:
         self._slope = rows * np.sqrt(weight)
 
     def __call__(self, posed: Posed, seen: Observation) -> Rows:  # noqa: ARG002 (a term)
-        """The rows of B posed hands."""
+        """Return the rows of B posed hands: ten, and one more where the hand's length was measured."""
         betas = posed.state.betas
         rows = Rows.zeros(HAND, len(betas), len(self._slope))
         rows.jacobian[:, 0, :, BETAS] = self._slope
