@@ -83,15 +83,15 @@ _TURNING = {"COPY_ROTATION", "COPY_TRANSFORMS", "TRANSFORM", "ARMATURE", "CHILD_
 """Constraints that turn a bone away from its keys. Limits only cut them off"""
 
 _CHUNK = 250
-"""frames that are computed at once, in some milliseconds"""
+"""How many frames are computed at once, in some milliseconds"""
 
 _SURE, _LIKELY = 0.75, 0.45
-"""How sure a hand must be recognised for these words"""
+"""How sure a hand must be recognised, 0..1, to be called sure, and likely"""
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What a captured hand does on N scene frames, in the space of its own armature."""
+    """The motion of a captured hand on N scene frames, in the space of its own armature."""
 
     source: SourceHand
     frames: np.ndarray
@@ -99,27 +99,28 @@ class Motion:
     turns: np.ndarray
     """(N, 16, 3, 3) each joint's rotation relative to its parent, the wrist's to its rest, in rest space"""
     places: np.ndarray
-    """(N, 3) metres: where the wrist is"""
+    """(N, 3) metres: where the wrist is in the space of the armature"""
     skins: Fingertips | None = None
     """the hand's fingertips; None where it is not known which of them touch"""
     arm: CapturedArm | None = None
-    """what its arm does on these frames; None where there is none"""
+    """The motion of the hand's arm on these frames; None where there is none"""
 
     @classmethod
     def of(cls, hand: CapturedHand, frames: np.ndarray, turns: np.ndarray, places: np.ndarray) -> Motion:
-        """What a hand in the scene does. Raises HandModelError."""
+        """Return the motion of a hand in the scene, from its turns and places on N scene frames. Raises
+        HandModelError."""
         source = SourceHand.of(hand.shaped(), hand.side, hand.model().name)
         numbers = timing_of(hand.collection).source_frames(frames)
         arm = CapturedArm.of(hand.take, hand.track, numbers)
         return cls(source, frames, turns, places, Fingertips.of(hand.model(), hand.betas), arm)
 
     def on(self, side: Side, later: float = 0.0) -> Motion:
-        """The motion for a hand of that side, mirrored if need be, so many scene frames later."""
+        """Return the motion for a hand of that side, mirrored if need be, and so many scene frames later."""
         moved = self if self.source.side == side else self.mirrored()
         return replace(moved, frames=moved.frames + later)
 
     def mirrored(self) -> Motion:
-        """The motion mirrored at x = 0, for the other side."""
+        """Return the motion mirrored at x = 0, for the other side."""
         turns, skins = mirrored_turns(self.turns), self.skins and self.skins.mirrored()
         arm = self.arm and self.arm.mirrored()
         return Motion(self.source.mirrored(), self.frames, turns, self.places @ MIRROR_X, skins, arm)
@@ -141,7 +142,7 @@ class Applied:
 
 
 def shortcomings(applied: Sequence[Applied]) -> list[str]:
-    """What is not as captured, in sentences that begin with a small letter."""
+    """Return what is not as captured, in sentences that begin with a small letter."""
     found = list(dict.fromkeys(sentence for one in applied for sentence in one.left_alone))
     missed = max(one.missed for one in applied)
     if missed:
@@ -250,7 +251,7 @@ def applying(
 
 @dataclass(frozen=True, eq=False)
 class Computed:
-    """What hands are to do, before any of it is written."""
+    """The keys that hands are to get, before any of them is written."""
 
     keys: list[BoneKeys]
     applied: list[Applied]
@@ -259,7 +260,7 @@ class Computed:
 def computing(
     armature: bpy.types.Object, hands: Sequence[tuple[HandMap, Motion]], onto: TransferOptions
 ) -> Generator[float, None, Computed]:
-    """What `applying` writes, and raises; nothing is changed."""
+    """Compute the keys that `applying` writes without writing any; raises what `applying` raises."""
     keys, applied = [], []
     if onto.time_offset:
         check_moved_in_time(armature, [motion.frames for _, motion in hands], onto.time_offset)
@@ -301,8 +302,8 @@ def computing(
 
 
 def _arm_of(armature: bpy.types.Object, hand_map: HandMap, motion: Motion) -> tuple[Arm | None, str | None]:
-    """The character's arm that is to do what a motion's does, or a sentence why it cannot; None and None
-    where the motion has no arm."""
+    """Return the character's arm that is to do what a motion's does, or a sentence why it cannot; None and
+    None where the motion has no arm."""
     if motion.arm is None:
         return None, None
     try:
@@ -329,7 +330,7 @@ def _write_into_present(armature: bpy.types.Object, keys: Sequence[BoneKeys]) ->
 
 
 def record_all_written_keys(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> None:
-    """Note what was written into the present action."""
+    """Note on the present action which keys were written into it."""
     data = armature.animation_data
     for one in keys:
         record_written_keys(armature, data.action, action_slot(data), one)
@@ -387,8 +388,10 @@ def within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.nda
 def _moving(
     armature: bpy.types.Object, target: TargetHand, motion: Motion, onto: TransferOptions
 ) -> Generator[float, None, BoneKeys]:
-    """Keys of the bone that moves the whole hand, in steps, as `moved` has it. What is in keys that were
-    written with an offset before has that taken out of where the hand is in the marked frame."""
+    """Compute the keys of the bone that moves the whole hand, in steps, as `moved` has it.
+
+    What is in keys that were written with an offset before has that taken out of where the hand is in the
+    marked frame."""
     side, control = target.hand_map.side, target.hand_map.moved_by
     check_movable(armature, control)
     anchor = onto.anchors.get(side)
@@ -471,8 +474,8 @@ def moved(
 
 
 def channels_of(bone: bpy.types.Bone, standing: np.ndarray, parent: np.ndarray) -> Matrix:
-    """What a bone that stands so in the armature's space (4, 4) has in its channels, where its parent, if it
-    has one, stands so."""
+    """Return the channels, as a (4, 4) matrix relative to its rest, of a bone that stands so in the
+    armature's space (4, 4), where its parent, if it has one, stands as `parent` says."""
     above = {}
     if bone.parent is not None:
         above = {"parent_matrix": Matrix(parent), "parent_matrix_local": bone.parent.matrix_local}
@@ -547,7 +550,7 @@ def prepared(
 
 
 def why_not_turned(armature: bpy.types.Object, name: str) -> str | None:
-    """Why keys on a bone's rotation would be for nothing, or are not wanted; None where they count."""
+    """Return why keys on a bone's rotation would be for nothing, or are not wanted; None where they count."""
     bone = armature.pose.bones[name]
     for constraint in bone.constraints:
         if constraint.type in _TURNING and constraint.enabled and constraint.influence > 0.0:
@@ -617,8 +620,9 @@ def _give(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, into:
 
 
 def hand_messages(armature: bpy.types.Object, side: Side, wanted: bool) -> list[tuple[str, str]]:
-    """What a hand was taken for, and what stands in its way: sentences and their icons. That the character
-    lacks it is no error where nothing would move it, and the other hand is known."""
+    """Return sentences, with their icons, about what a hand was taken for and what stands in its way.
+
+    That the character lacks it is no error where nothing would move it, and the other hand is known."""
     messages = []
     if is_damaged(armature, side):
         text = "The kept table of this hand is damaged and not used: press Bones > Recognise Again"
@@ -660,5 +664,5 @@ def hand_messages(armature: bpy.types.Object, side: Side, wanted: bool) -> list[
 
 
 def _capitalised_name_kept(sentence: str) -> str:
-    """With a capital letter, except where it begins with a bone's name."""
+    """Return a sentence with a capital letter, except where it begins with a bone's name."""
     return sentence if set("._") & set(sentence.partition(" ")[0]) else sentence[:1].upper() + sentence[1:]

@@ -25,13 +25,14 @@ from .matching import is_untouched
 from .store import has_properties
 
 SUNS = ((-40.0, 42.0, 3.4), (55.0, 10.0, 1.0), (160.0, 40.0, 1.8))
-"""Key, fill and rim: degrees from the camera's axis (to the right, up), then strength in W/m2"""
+"""The key, fill and rim lights: each its degrees from the camera's axis (to the right, up), then its strength
+in W/m2"""
 OURS = "hand_render_setup"
 """Custom property of the cards and suns, by which they are found again"""
 _CARD_PLACE = 0.9
-"""of the camera's far clip distance"""
+"""Where the card stands, as a share of the camera's far clip distance"""
 _BEYOND = 0.05
-"""of the picture's width and height"""
+"""How far the card reaches beyond the view, as a share of the picture's width and height"""
 
 
 def set_up(
@@ -80,13 +81,11 @@ def put_in_force(scene: bpy.types.Scene, made: list[bpy.types.Object]) -> None:
 
 
 def follow_camera(scene: bpy.types.Scene) -> None:
-    """Have renders show the card and the suns that hang on the scene's camera instead of those of other
-    captures, each kind for itself.
+    """Have renders show the picture card and the suns of one capture, each kind for itself.
 
-    Before a camera of the artist's own they are those of the capture that was chosen last, else those that
-    renders have shown so far; where these were deleted, the latest of the others take their place. As long as
-    no other camera's turn comes, nothing is changed: a card that the artist has hidden stays hidden.
-    """
+    It is the capture whose camera is the scene's; else the one chosen last; else the one shown so far; else
+    the latest. While that stays the same nothing is changed, so a hidden card stays hidden. A kind that this
+    capture lacks stays as it is."""
     objects = list(scene.objects)
     ours = [thing for thing in objects if OURS in thing]
     cameras = [thing.parent for thing in ours if thing.parent in objects]
@@ -164,11 +163,12 @@ def _rendered(part: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
 
 
 _seen: dict[int, tuple[int, int, int]] = {}
-"""session_uid of a scene -> what it was when `follow_camera` was last asked about it"""
+"""By a scene's session_uid, the state in which `follow_camera` last saw that scene"""
 
 
 def _on_update(scene: bpy.types.Scene, *_args) -> None:
-    """Another camera, or a deletion. Blender calls this after every step: what it compares is cheap."""
+    """Follow another camera, or a deletion. Blender calls this after every step: what it compares is
+    cheap."""
     settings = scene.manient
     if not settings.is_property_set("rendered_camera"):
         return
@@ -186,5 +186,5 @@ HANDLERS = {"depsgraph_update_post": _on_update}
 
 
 def unregister() -> None:
-    """Forget what scenes were."""
+    """Forget the states in which scenes were last seen."""
     _seen.clear()

@@ -28,13 +28,13 @@ DARK: Final = (0.05, 0.05, 0.05)
 DOUBT_COLOR: Final = (1.0, 0.55, 0.15)
 
 TEXT_SIZE: Final = 13.0
-"""size of text, at a user interface scale of 1"""
+"""The size of text in points, at a user interface scale of 1"""
 RADIUS: Final = 5.0
-"""pixels of a handle with room around it, at a user interface scale of 1"""
+"""The radius in pixels of a handle that no other crowds, at a user interface scale of 1"""
 _LEAST_RADIUS: Final = 1.5
-"""Pixels: the size of a handle that others nearly cover"""
+"""The radius in pixels of a handle that others nearly cover, at a user interface scale of 1"""
 _RIM: Final = 1.5
-"""pixels of the dark edge around it, likewise"""
+"""The width in pixels of the dark edge around a handle, at a user interface scale of 1"""
 _ACTIVE, _PINNED = 1.35, 2.1
 """How much larger a handle is under the mouse, and how much a pin is"""
 _LINE: Final = 2.0
