@@ -166,8 +166,8 @@ class _GripFit(RangeFit):
     def _held(
         self, context: bpy.types.Context, prop: bpy.types.Object, fingers: np.ndarray
     ) -> Iterator[tuple[np.ndarray, Prop]]:
-        """Yield groups of frames in which the object keeps its shape and size: their indices, and the object as
-        it is turned and moved in them."""
+        """Yield groups of frames in which the object keeps its shape and size: their indices, and the object
+        as it is turned and moved in them."""
         scene, armature = context.scene, self.refiner.armature
         frame, subframe = scene.frame_current, scene.frame_subframe
         rest = self.refiner.hand.rig.rest

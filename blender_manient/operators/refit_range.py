@@ -33,7 +33,7 @@ class RangeFit:
     """The frames of a range on their way through the worker."""
 
     requests: list[tuple[int, Callable[[], dict[str, Any]]]]
-    """The first row's number, and a function that makes the fields, of each request to the worker"""
+    """For each request to the worker, the number of its frames and a function that makes its fields"""
     poses: BonePoses
     fitted: int
     """The poses that are written, and the number of their frames"""

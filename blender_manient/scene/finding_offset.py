@@ -22,9 +22,9 @@ from .sampling import rotations_of, sampling_unseen
 from .timing import frame_rate, span_of
 
 _LEAST_SURE = 0.3
-"""How sure an offset must be found"""
+"""The least certainty, 0..1, with which an offset must be found"""
 _LONGEST = 50_000
-"""frames in which an offset is looked for, in minutes"""
+"""The most frames in which an offset is looked for, which takes minutes"""
 
 
 def finding_offset(
