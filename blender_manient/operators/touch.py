@@ -20,12 +20,12 @@ from .base import polled_hand
 from .refit_range import RangeFit, RangeFitOperator, rows_within, suggested_range
 
 _MAX_TOUCH_GAP = 0.001
-"""metres between skins that touch"""
+"""Metres between skins that count as touching, at most"""
 _MAX_EXTRA_GAP = 0.005
-"""metres: frames around the present one in which the points are no farther apart than here and so much are
+"""Metres by which two points may be farther apart than on the present frame, in the frames around it that are
 suggested"""
 _SEARCH_SECONDS = 2.0
-"""seconds before and after that are looked at for these"""
+"""Seconds before and after the present frame in which such frames are looked for"""
 _POINTS = [(str(point), name, f"The {name.lower()}") for point, name in enumerate(POINT_NAMES)]
 
 
@@ -41,7 +41,7 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
     other: bpy.props.EnumProperty(name="Touches", items=_POINTS, default="8")
 
     _suggested: tuple[str, str] | None = None
-    """The points that the range was suggested for"""
+    """The two points that the range was suggested for; None before"""
 
     def suggest(self, context):
         """The frames in which these points are nearly together; else those that Re-fit Range suggests."""
@@ -60,7 +60,7 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
         row.prop(self, "other", text="")
 
     def summary(self, context):
-        """How far apart the points are."""
+        """Return a sentence about how far apart the points are, and whether it is a warning."""
         gaps = _TouchFit(self, context).gaps
         if np.isnan(gaps).all():
             return "There is no hand in these frames", True

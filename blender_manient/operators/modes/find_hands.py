@@ -33,17 +33,17 @@ from .choice import FOUND_AGAIN, Choice, FoundHand
 from .drawing import DARK, PIN_COLOR, draw_tag, frame_box, tag_box
 
 REACH: Final = 14.0
-"""pixels from a point of a hand within which the mouse means it, at a user interface scale of 1"""
+"""Pixels from a point of a hand within which the mouse means that hand, at a user interface scale of 1"""
 CLICK_PIXELS: Final = 6.0
-"""pixels at a user interface scale of 1. A press that moves less is a click"""
+"""Pixels, at a user interface scale of 1, that a press moves at least when it is no click"""
 MIN_BOX_PIXELS: Final = 8.0
-"""pixels of the picture a side: in smaller boxes nobody sees a hand"""
+"""The least side of a box in pixels of the picture: in smaller boxes nobody sees a hand"""
 CHOSEN_COLOR: Final = (0.10, 0.38, 0.80)
 LEFT_OUT_COLOR: Final = (0.78, 0.78, 0.78)
 STRIP_HEIGHT: Final = 34.0
-"""pixels, at a user interface scale of 1, of the strips over and under the picture"""
+"""The height in pixels, at a user interface scale of 1, of the strips over and under the picture"""
 SMALL: Final = 60.0
-"""pixels of the region, at a user interface scale of 1: the lines of smaller hands are thinner"""
+"""Pixels of the region, at a user interface scale of 1: the lines of hands that are smaller are thinner"""
 _KEYS = (
     "Click: Choose Hand    Click L or R: Other Side    Drag: Look in a Box    X: Throw Out    "
     "A: All or None    Wheel: Zoom    Middle Mouse: Move    Home: Whole Picture    Ctrl Z: Undo    "
@@ -55,7 +55,7 @@ NOTHING_THERE: Final = (
 )
 
 Name = tuple[str, str]
-"""of a button, and what stands on it"""
+"""The name of a button, and what stands on it"""
 
 
 class Source(NamedTuple):
@@ -63,11 +63,12 @@ class Source(NamedTuple):
 
     files: tuple[str, ...]
     frame: int | None
-    """of the source; None for a photo"""
+    """The number of the source's frame; None for a photo"""
     options: CaptureOptions
 
     def fields(self, box: tuple[float, ...] | None = None, picture: Path | None = None) -> dict[str, Any]:
-        """A `find` request's: for all hands, for the one in a box, or for the `picture` alone."""
+        """Return the fields of a `find` request: for all hands, for the one in a box, or for the `picture`
+        alone."""
         options = replace(
             self.options,
             frames=None if self.frame is None else FrameRange(self.frame, self.frame),
@@ -94,7 +95,7 @@ class Button:
 
 
 class FindMode(view.Overlay):
-    """The state of the mode, from its start to `end`."""
+    """The state of Find Hands, from its start to `end`."""
 
     keys: Final = _KEYS
 
@@ -108,7 +109,8 @@ class FindMode(view.Overlay):
         self.hovered: FoundHand | None = None
         self.pressed = ""
         self.dragged: tuple[np.ndarray, np.ndarray] | None = None
-        """(2,) pixels of the region each: where the mouse was pressed, and where it is"""
+        """(2,) pixels of the region each: where the mouse was pressed, and where it is; None while nothing is
+        dragged"""
         self.nothing_there = False
         self._boxes: list[tuple[float, ...]] = []
         """Boxes (x, y, width, height) in pixels of the picture that were drawn and are not searched yet"""
