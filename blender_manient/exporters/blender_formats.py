@@ -128,8 +128,8 @@ class FbxExporter(BlenderFormat, Exporter):
 
     @contextlib.contextmanager
     def around(self, path: Path, hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
-        """What was imported from centimetres becomes centimetres again. The exporter also names each texture
-        with the folder that the file is in."""
+        """Turn what was imported from centimetres into centimetres again. The exporter also names each
+        texture with the folder that the file is in."""
         small = all(hand.armature.matrix_world.median_scale < _SMALL for hand in hands)
         yield {"apply_scale_options": "FBX_SCALE_NONE"} if small else {}
         blank(path, Path(os.path.abspath(path.parent)))  # noqa: PTH100  Links stay as they are.

@@ -57,7 +57,8 @@ def clean_rig(
     preset: Preset,
     apart: float = 0.0,
 ) -> Iterator[CleanHand]:
-    """A copy of the hand in the context's scene, whose armature object is called `name` (empty: as before).
+    """Make a copy of the hand in the context's scene, whose armature object is called `name` (empty: as
+    before).
 
     `metres_per_unit` is the artist's scene's. The preset's rotation is done to the data and undone by the
     object. `apart` is that of the exporter. The hand must be in that scene, which has the copy instead
@@ -311,8 +312,8 @@ _BESIDE = 1e-3
 
 
 def deforming_tree(armature: bpy.types.Object) -> tuple[dict[str, str], dict[str, str]]:
-    """The name of each bone that deforms, with that of the deforming bone it hangs on; and the name of every
-    bone, with that of the deforming bone that stands for it. Empty names: none.
+    """Return the name of each bone that deforms, with that of the deforming bone it hangs on; and the name of
+    every bone, with that of the deforming bone that stands for it. Empty names: none.
 
     A control rig's deforming bones often hang on bones that deform nothing, as Rigify's DEF- bones do on its
     ORG- bones. Such a bone is stood for by the deforming bone that lies on it at rest; where none does, its

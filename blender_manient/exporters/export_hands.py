@@ -59,7 +59,7 @@ class Stage:
     first: int
     last: int
     metres_per_unit: float
-    """of the scene that the hands are in"""
+    """Metres for one unit of length of the scene that the hands are in"""
     view_transform: str
     """How colours are shown: the picture behind the hands keeps its own in `Standard`"""
 
@@ -300,8 +300,8 @@ def _files_by_name(armatures: Sequence[bpy.types.Object]) -> Iterator[None]:
 
 
 def _root_name(root: str, hands: Sequence[HandObjects], index: int) -> str:
-    """`root` for one hand, `left_root` and so on for several; for a character that has such a bone, what
-    Unreal leaves out."""
+    """Return the name of a hand's armature object: `root` for one hand, `left_root` and so on for several;
+    for a character that has such a bone, what Unreal leaves out."""
     if not root or len(hands) == 1:
         bone = hands[0].armature.data.bones.get(root) if _is_character(hands) else None
         return "Armature" if bone is not None and bone.use_deform else root

@@ -43,7 +43,7 @@ class TakeExporter(Exporter):
 
 
 def retaken(hands: Sequence[CapturedHand]) -> Take:
-    """The take of captured hands of one collection, with their present shape and motion.
+    """Return the take of captured hands of one collection, with their present shape and motion.
 
     global_orient, hand_pose, transl, joints_3d and the errors are computed anew in the take's frames, from
     what the rigs show there relative to the capture camera; detections stay. Frames in which nothing was

@@ -82,7 +82,7 @@ class _Mode(view.Overlay):
         self.ends = places
 
     def points(self, side: Side) -> np.ndarray:
-        """(21, 2) pixels of the picture: the hand as it would be added; NaN where there is none."""
+        """Return (21, 2) pixels of the picture: the hand as it would be added; NaN where there is none."""
         if self.ends is None:
             return np.full((NUM_KEYPOINTS, 2), np.nan)
         try:
@@ -217,8 +217,9 @@ class MANIENT_OT_add_hand(ModeOperator, bpy.types.Operator):
 
 
 def target_capture(context: bpy.types.Context) -> bpy.types.Collection | None:
-    """The capture whose picture a hand is added to: one of the panel's source, that of the active hand before
-    others and the newest before older ones; without a source the active hand's. Raises HandfitError."""
+    """Return the capture whose picture a hand is added to: one of the panel's source, that of the active hand
+    before others and the newest before older ones; without a source the active hand's. Raises
+    HandfitError."""
     settings, hand = context.scene.manient, active_hand(context)
     if not settings.source and hand is not None:
         return hand.collection if hand.camera is not None else None

@@ -69,7 +69,7 @@ class MANIENT_OT_grip(RangeFitOperator, bpy.types.Operator):
     """The object for which the fingers near to it were ticked; None before"""
 
     def suggest(self, context):
-        """The selected mesh beside the hand, and the frames that Re-fit Range suggests."""
+        """Suggest the selected mesh beside the hand, and the frames that Re-fit Range suggests."""
         super().suggest(context)
         own, settings = polled_hand(context), context.scene.manient
         others = [o for o in context.selected_objects if o.type == "MESH" and o not in own.meshes]

@@ -39,7 +39,8 @@ class RangeFit:
     """The poses that are written, and the number of their frames"""
 
     def __init__(self, operator: RangeFitOperator, context: bpy.types.Context) -> None:
-        """Raises HandfitError where nothing can be fitted."""
+        """Prepare the range's frames and poses for the worker. Raises HandfitError where nothing can be
+        fitted."""
         self.refiner = Refiner(polled_hand(context).armature)
         self.rows = operator.rows(context, self.refiner)
         self.count = len(self.rows)

@@ -44,7 +44,8 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
     """The two points that the range was suggested for; None before"""
 
     def suggest(self, context):
-        """The frames in which these points are nearly together; else those that Re-fit Range suggests."""
+        """Suggest the frames in which these points are nearly together; else those that Re-fit Range
+        suggests."""
         self._suggested = self.point, self.other
         self.first, self.last = touching_range(context, int(self.point), int(self.other))
 
@@ -82,13 +83,15 @@ class MANIENT_OT_press_together(RangeFitOperator, bpy.types.Operator):
     progress_text = "Pressing together"
 
     def suggest(self, context):
-        """The frames around the present one in which something lies over each other."""
+        """Suggest the frames around the present one in which fingers lie over each other, or over the
+        palm."""
         refiner, near = _refiner_near(context)
         touches = refiner.lying_over(refiner.keyed_poses(near.rows))
         self.first, self.last = near.around(np.array([not of_row for of_row in touches]), context)
 
     def summary(self, context):
-        """What would be pressed together, and how far apart it is."""
+        """Return a sentence about what would be pressed together and how far apart it is, and whether it is a
+        warning."""
         fit = _PressFit(self, context)
         return f"{counted(fit.count, 'frame')}. {_far_apart(fit.gaps, fit.names)} apart there", False
 
@@ -141,14 +144,14 @@ def touching_range(context: bpy.types.Context, point: int, other: int) -> tuple[
 
 
 def _far_apart(gaps: np.ndarray, what: str) -> str:
-    """How far apart these parts are, as gaps (N,) in metres have it, in words."""
+    """Return how far apart these parts are, as gaps (N,) in metres have it, in words."""
     ends = 1000 * np.maximum([np.nanmin(gaps), np.nanmax(gaps)], 0.0)
     far = " to ".join(dict.fromkeys(f"{millimetres:.0f}" for millimetres in ends))
     return f"{what} are {far} mm"
 
 
 def _touch_report(fit: _TouchFit, names: str) -> tuple[str, str]:
-    """The kind and the text of the report of a fit in which these parts were to touch."""
+    """Return the kind and the text of the report of a fit in which these parts were to touch."""
     apart = np.flatnonzero(~(np.abs(fit.gaps) <= _MAX_TOUCH_GAP))
     if not len(apart):
         return "INFO", f"{names} touch in {counted(fit.fitted, 'frame')}"
@@ -178,7 +181,7 @@ class _TouchFit(RangeFit):
         self.requests = [(len(rows), refiner.request(rows, pins, start, touches=self._touches))]
 
     def new_touches(self, operator: Any) -> list[Touches]:
-        """What is to touch in each frame of the range; those without anything are left out. Raises
+        """Return the touches that each frame of the range is to have; frames without any are left out. Raises
         OptionError."""
         self.pair = touching_pair(int(operator.point), int(operator.other))
         return [dict([self.pair])] * self.count

@@ -35,7 +35,7 @@ class MANIENT_UL_captures(bpy.types.UIList):
         return [flag if item.session_uid in here else 0 for flag, item in zip(flags, items, strict=True)], []
 
     def draw_item(self, context, layout, _data, item, _icon, _active_data, _active_property, _index):
-        """The capture's name, its hands and how good they are."""
+        """Draw the capture's name, its hands and how good they are."""
         shown = captures.is_shown(item, context.view_layer)
         parts = layout.split(factor=0.5)
         parts.prop(item, "name", text="", emboss=False, icon="HIDE_OFF" if shown else "HIDE_ON")

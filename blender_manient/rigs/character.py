@@ -20,8 +20,8 @@ from .rig import PosedBones
 
 @dataclass(frozen=True)
 class ArmControls:
-    """Which bones of an arm get keys: by FK upper arm, forearm and hand; by IK the hand, and what swivels the
-    elbow."""
+    """The bones of an arm that get keys: by FK upper arm, forearm and hand; by IK the hand, and what swivels
+    the elbow."""
 
     hand: str
     upper: str = ""
@@ -52,8 +52,8 @@ class Character(ABC):
 
     @classmethod
     def troubles(cls, armature: bpy.types.Object, hand_map: HandMap) -> list[str]:  # noqa: ARG003
-        """What would make keys on the mapped bones useless, such as a switch that is set to IK; one sentence
-        each. None of them by default. The map has no `control` where only fingers get keys."""
+        """Return what would make keys on the mapped bones useless, such as a switch that is set to IK; one
+        sentence each. None of them by default. The map has no `control` where only fingers get keys."""
         return []
 
     @classmethod

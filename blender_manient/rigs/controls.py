@@ -55,7 +55,7 @@ _TURN: Final = {
     **{f"from_min_{axis}_rot": -_QUARTER for axis in "xyz"},
     **{f"from_max_{axis}_rot": _QUARTER for axis in "xyz"},
 }
-"""What constraints have by which bones are turned as others are"""
+"""Settings of the constraints by which bones are turned as others are"""
 _LIMITED: Final = {
     **{"euler_order": "XZY", "use_transform_limit": True},
     **dict.fromkeys(("use_limit_x", "use_limit_y", "use_limit_z"), True),
@@ -351,7 +351,8 @@ def _dress(bone: bpy.types.PoseBone, role: str, at: bpy.types.PoseBone) -> None:
 
 
 def _shape(kind: str) -> bpy.types.Object:
-    """An object without faces that all hands of the file share, in no scene: it is only drawn for bones."""
+    """Return an object without faces that all hands of the file share, in no scene: it is only drawn for
+    bones."""
     for there in bpy.data.objects:
         if there.get(_SHAPE) == kind and there.library is None:
             return there

@@ -112,7 +112,7 @@ def load_plate(
 def loading_plate(
     take: Take, timing: Timing | None = None, max_megapixels: float | None = None
 ) -> Generator[None, None, tuple[Plate | None, list[str]]]:
-    """The take's picture, and what the user should know about it.
+    """Load the take's picture in steps; return it, and what the user should know about it.
 
     `timing` says where the clip's frames lie in the scene's time; without it, on its own frame numbers.
     `max_megapixels` is how large it may be, instead of what the preferences say.

@@ -127,7 +127,8 @@ def build_take(take: Take, **options: Any) -> BuiltTake:
 
 
 def building(take: Take, how: BuildOptions = BuildOptions()) -> Generator[float, None, BuiltTake]:
-    """`build_take` in slices of some milliseconds. Yields how much is done, 0..1; returns what was made.
+    """Build a take as `build_take` does, in slices of some milliseconds. Yields how much is done, 0..1;
+    returns what was made.
 
     Closing it early removes what it made. Raises BuildInterrupted where an undo, another file or a
     deletion took something away meanwhile: nothing is left of it, and it can be started again.

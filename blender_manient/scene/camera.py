@@ -30,7 +30,7 @@ def build_camera(
     scene: bpy.types.Scene | None = None,
     units_per_metre: float = 1.0,
 ) -> bpy.types.Object:
-    """A camera at the world's origin that projects as `take.intrinsics` does, with the plate behind.
+    """Build a camera at the world's origin that projects as `take.intrinsics` does, with the plate behind.
 
     It is not linked to any collection. `frame_scene` sets the scene's half of the projection; where the
     scene keeps its own size, give it as `scene`: the picture's full width is then the frame's.

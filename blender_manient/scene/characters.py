@@ -148,9 +148,9 @@ def table_of(armature: bpy.types.Object, side: Side) -> HandMap:
 
 
 def recognised(armature: bpy.types.Object, side: Side, reported: tuple[str, ...] = ()) -> Found:
-    """The hand that is recognised by its bones, kept because panels ask at every redraw; recognised anew
-    where bones were moved or renamed, and where `reported`, the rig's troubles, are others, as after a switch
-    from IK to FK. Raises HandModelError."""
+    """Return the hand that is recognised by its bones, kept because panels ask at every redraw; recognised
+    anew where bones were moved or renamed, and where `reported`, the rig's troubles, are others, as after a
+    switch from IK to FK. Raises HandModelError."""
     bones = armature.data.bones
     heads = np.empty((len(bones), 3), dtype=np.float32)
     bones.foreach_get("head_local", heads.ravel())
@@ -220,9 +220,9 @@ def recognise_again(armature: bpy.types.Object, side: Side) -> Found:
 
 
 def source_of(armature: bpy.types.Object, side: Side, context: bpy.types.Context) -> CapturedHand | None:
-    """Which captured hand a character's hand follows: the chosen one, else a selected one of that side, else
-    the only one of it that is shown, else the scene's only one; None for none. Raises OptionError where there
-    are several, and where the chosen one has lost its take."""
+    """Return the captured hand that a character's hand follows: the chosen one, else a selected one of that
+    side, else the only one of it that is shown, else the scene's only one; None for none. Raises OptionError
+    where there are several, and where the chosen one has lost its take."""
     chosen = getattr(armature.manient.character, side).source
     if chosen is not None:
         hand = hand_of(chosen)

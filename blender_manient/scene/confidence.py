@@ -217,7 +217,7 @@ def _on_frame(scene: bpy.types.Scene, *_args) -> None:
 
 
 def _on_change(*_args) -> None:
-    """Another file, or an undo: other hands may be shown, at another frame."""
+    """Colour bones anew after another file or an undo: other hands may be shown, at another frame."""
     _follow()
     if bpy.context.scene is not None:
         _refresh(bpy.context.scene)

@@ -270,8 +270,8 @@ def change_corrections(used: Iterable[tuple[Any, Any]], change: Callable[[Correc
 
 @contextlib.contextmanager
 def adding_to_keys(armature: bpy.types.Object, used: Iterable[tuple[Any, Any]]) -> Iterator[None]:
-    """Within, something is added on purpose to the keys of these (action, slot): corrections that were known
-    by their keys' poses are known by the new ones afterwards."""
+    """Have something be added within on purpose to the keys of these (action, slot): corrections that were
+    known by their keys' poses are known by the new ones afterwards."""
     known: list[tuple[tuple[Any, Any], CorrectionField, set[float]]] = []
     for user in used:
         with contextlib.suppress(TakeError):
@@ -287,8 +287,8 @@ def adding_to_keys(armature: bpy.types.Object, used: Iterable[tuple[Any, Any]]) 
 
 @contextlib.contextmanager
 def corrections_carried(armature: bpy.types.Object) -> Iterator[None]:
-    """Within, the armature gets another action. Frames that are corrected otherwise in that one get the poses
-    and corrections that they have now."""
+    """Carry corrections over to another action that the armature gets within. Frames that are corrected
+    otherwise in that one get the poses and corrections that they have now."""
     field = readable_corrections(armature)
     held = [(g, *pose) for g, *pose in _keyed_poses(armature, field) if field.corrections[g].is_in(*pose)]
     yield

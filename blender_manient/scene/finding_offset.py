@@ -30,8 +30,9 @@ _LONGEST = 50_000
 def finding_offset(
     armature: bpy.types.Object, hands: Sequence[tuple[HandMap, Motion]]
 ) -> Generator[float, None, FoundOffset]:
-    """By how many frames captured hands have to come later to move as those of a character, whose own motion
-    is looked at in all frames that have it; in steps that tell how much is done, 0..1. Nothing is changed.
+    """Return by how many frames captured hands have to come later to move as those of a character, whose own
+    motion is looked at in all frames that have it; in steps that tell how much is done, 0..1. Nothing is
+    changed.
 
     Raises HandModelError, and OptionError where nothing fits well enough.
     """

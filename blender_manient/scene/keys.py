@@ -163,8 +163,8 @@ def write_pose_keys(rig: PosedBones, keys: PoseKeys, *, holder: Any = None) -> N
 def writing_pose_keys(
     find: Callable[[], PosedBones], keys: PoseKeys, *, holder: Any = None
 ) -> Iterator[float]:
-    """`write_pose_keys`, a bone per step, for a window that stays free; yields how much is done, 0..1. `find`
-    gives the bones, and raises where they have gone between two steps."""
+    """Write keys as `write_pose_keys` does, a bone per step, for a window that stays free; yields how much is
+    done, 0..1. `find` gives the bones, and raises where they have gone between two steps."""
     joints = np.flatnonzero(keys.rotation_keyed.any(axis=0))
     if not len(joints) and keys.location_keyed.any():
         joints = np.zeros(1, dtype=int)

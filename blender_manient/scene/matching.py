@@ -48,7 +48,7 @@ _SIZE = ("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_
 
 @dataclass(frozen=True)
 class Footage:
-    """What a scene can take over from a clip or picture."""
+    """The properties that a scene can take over from a clip or picture."""
 
     fps: float = 0.0
     first: int = 0

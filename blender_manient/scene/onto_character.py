@@ -157,8 +157,8 @@ def shortcomings(applied: Sequence[Applied]) -> list[str]:
 def reading_motion(
     hand: CapturedHand, frames: Sequence[float] | None = None
 ) -> Generator[None, None, Motion]:
-    """What a captured hand does on scene frames; None: from its first key to its last, on its keys and on
-    every frame between them. Raises OptionError where it has no keys.
+    """Read, in steps, what a captured hand does on scene frames, and return it; None: from its first key to
+    its last, on its keys and on every frame between them. Raises OptionError where it has no keys.
 
     Its keys are read, or, where anything else moves it (layers, constraints, controls), what it shows: that
     takes a step per frame, and the scene is back where it was afterwards.
@@ -177,7 +177,8 @@ def reading_motion(
 
 
 def motion_of(take: Take, track: HandTrack, model: str | None = None) -> Motion:
-    """What a hand of a take does, on the take's own frames and on every frame in gaps, without building it.
+    """Return what a hand of a take does, on the take's own frames and on every frame in gaps, without
+    building it.
 
     `model` is taken instead of the one that the take names. Raises HandModelError, and TakeError where frames
     lie beyond Blender's timeline.
@@ -430,7 +431,7 @@ def _moving(
 
 
 def check_movable(armature: bpy.types.Object, control: str) -> None:
-    """Raises OptionError where keys of the bone that moves a whole hand would be for nothing."""
+    """Raise OptionError where keys of the bone that moves a whole hand would be for nothing."""
     why = why_not_turned(armature, control)
     if why is not None:
         raise OptionError(
@@ -451,7 +452,7 @@ def moved(
     places: np.ndarray,
     travel: float,
 ) -> np.ndarray:
-    """(T, 4, 4) how the bone that moves the whole hand is to stand in the armature's space.
+    """Return (T, 4, 4), how the bone that moves the whole hand is to stand in the armature's space.
 
     Let the captured wrist be turned by O (T, 3, 3) and lie at p (T, 3), and the character's hand bone be
     turned by Q from its rest and lie at x. In the anchor's moment the two are to look alike, which makes
@@ -533,8 +534,9 @@ def adjusting(
 def prepared(
     armature: bpy.types.Object, hand_map: HandMap, source: SourceHand, *, fingers_only: bool
 ) -> tuple[TargetHand, np.ndarray, list[str]]:
-    """What keys of a hand of the same side need to know: the hand, which of its bones can be keyed (K,)
-    bool, and why the others cannot. Raises HandModelError and OptionError where keys would be for nothing."""
+    """Return what keys of a character's hand, from motion of its own side, need: the hand, which of its bones
+    can be keyed (K,) bool, and why the others cannot. Raises HandModelError and OptionError where keys would
+    be for nothing."""
     check(armature, why_not_reachable(armature))
     found = troubles(armature, replace(hand_map, control="") if fingers_only else hand_map)
     if found:
@@ -567,7 +569,7 @@ def why_not_turned(armature: bpy.types.Object, name: str) -> str | None:
 
 
 def check_own_keys(armature: bpy.types.Object, into: Into) -> None:
-    """Raises OptionError where keys that are put there could not be written, or would not be shown."""
+    """Raise OptionError where keys that are put there could not be written, or would not be shown."""
     check_unlayered(armature)
     data = armature.animation_data
     if data is None:
@@ -597,7 +599,7 @@ def check_own_keys(armature: bpy.types.Object, into: Into) -> None:
 
 
 def _check_uncovered(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> None:
-    """Raises OptionError where the present action, which lies above all strips, has curves of these bones."""
+    """Raise OptionError where the present action, which lies above all strips, has curves of these bones."""
     paths = {curve.data_path for curve in present_curves(armature)}
     for one in keys:
         starts = tuple(f"{bone_path(name)}.rotation" for name in np.array(one.rig.bones)[one.keyed])

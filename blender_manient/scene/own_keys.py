@@ -42,8 +42,9 @@ in the camera frame, metres. They stay true when the hand's proportions change""
 
 
 def keyed_by_hand(hand: CapturedHand, rows: np.ndarray) -> np.ndarray:
-    """(N, 17) bool: whether the 16 bones' rotations and the wrist's location have a key of the artist's own
-    on the scene frames of the take's `rows` (N,), increasing. Raises TakeError and HandModelError."""
+    """Return (N, 17) bool: whether the 16 bones' rotations and the wrist's location have a key of the
+    artist's own on the scene frames of the take's `rows` (N,), increasing. Raises TakeError and
+    HandModelError."""
     frames = scene_frames(hand.collection, hand.take)[rows]
     found = np.zeros((len(rows), NUM_JOINTS + 1), dtype=bool)
     if len(rows) == 0:

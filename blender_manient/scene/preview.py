@@ -139,7 +139,7 @@ def render_hands(built: BuiltTake, take: Take, frame: int, scale: float) -> np.n
 
 @contextlib.contextmanager
 def _scene(take: Take, scale: float) -> Iterator[bpy.types.Scene]:
-    """A scene of the take's picture size that shows colours as they are, removed afterwards.
+    """Make a scene of the take's picture size that shows colours as they are, removed afterwards.
 
     It is the open one meanwhile, since movies and image sequences follow that one's frame whichever scene is
     rendered. Blender has no window here that an artist looks at.

@@ -56,7 +56,7 @@ def set_up(
 
 
 def add_picture_plane(name: str, camera: bpy.types.Object, take: Take, plate: Plate) -> bpy.types.Object:
-    """A card with the picture, which only renders see, hung on the camera of a capture or view of that
+    """Make a card with the picture, which only renders see, hung on the camera of a capture or view of that
     name; linked to no collection yet."""
     card = picture_card(named_after(name, "picture"), plate, take, _CARD_PLACE * camera.data.clip_end)
     card.hide_viewport = card.hide_select = True  # there the camera's background shows the picture
@@ -104,8 +104,9 @@ def follow_camera(scene: bpy.types.Scene) -> None:
 
 
 def picture_card(name: str, plate: Plate, take: Take, distance: float) -> bpy.types.Object:
-    """A glowing card that fills the view of a camera at the world's origin with the picture, at that distance
-    before it. It reaches a little beyond the view, since a render's outermost pixels see beyond it too."""
+    """Make a glowing card that fills the view of a camera at the world's origin with the picture, at that
+    distance before it. It reaches a little beyond the view, since a render's outermost pixels see beyond it
+    too."""
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (1.0 + 2.0 * _BEYOND) - _BEYOND
     corners = (uv * [1.0, -1.0] + [0.0, 1.0]) * [take.width, take.height]
     mesh = bpy.data.meshes.new(name)
@@ -130,7 +131,7 @@ def picture_card(name: str, plate: Plate, take: Take, distance: float) -> bpy.ty
 
 
 def sun(name: str, right: float, up: float, strength: float) -> bpy.types.Object:
-    """A soft sun from behind a camera at the world's origin that looks along +Y; see `SUNS`."""
+    """Make a soft sun from behind a camera at the world's origin that looks along +Y; see `SUNS`."""
     light = bpy.data.lights.new(name, "SUN")
     light.energy = strength
     light.angle = math.radians(20.0)
@@ -152,8 +153,8 @@ def _is_lit(scene: bpy.types.Scene) -> bool:
 
 
 def _rendered(part: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
-    """The objects of a collection and those in it that renders show. A view layer's own list of objects would
-    lack what was linked since it was last updated."""
+    """Yield the objects of a collection and those in it that renders show. A view layer's own list of objects
+    would lack what was linked since it was last updated."""
     if part.collection.hide_render:
         return
     if not part.exclude:

@@ -268,7 +268,8 @@ def _reshape_mesh(
 
 @lru_cache(maxsize=2)
 def _offsets(model: HandModel, frames: bytes) -> np.ndarray:
-    """What one step of a slider ends with, the next one begins with."""
+    """Return the model's corrective offsets for a shape from a cache: the shape with which one step of a
+    slider ends is that with which the next one begins."""
     return axes.corrective_offsets(model, np.frombuffer(frames).reshape(-1, 3, 3))
 
 

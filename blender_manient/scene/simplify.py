@@ -262,8 +262,8 @@ def all_actions(armature: bpy.types.Object) -> list[tuple[bpy.types.Action, Any]
 
 @contextlib.contextmanager
 def keeping_simplified(armature: bpy.types.Object) -> Iterator[None]:
-    """What is done within to the keys of an armature's motion is done to those of the actions behind it too:
-    motion that was not changed since it was simplified still counts as not changed afterwards."""
+    """Have what is done within to the keys of an armature's motion be done to those of the actions behind it
+    too: motion that was not changed since it was simplified still counts as not changed afterwards."""
     user = motion_user(armature)
     same = user is not None and _dense_action(user.action) is not None and _is_unchanged(user)
     yield
@@ -336,7 +336,8 @@ def _source(armature: bpy.types.Object) -> tuple[Any, Any]:
 
 
 def _note(action: bpy.types.Action) -> dict[str, Any]:
-    """What was noted when an action was simplified; of one that holds none, or another's, what does least."""
+    """Return the note that was made when an action was simplified; for an action without one, or with
+    another's, the note that does least."""
     noted = property_group(action, _NOTE)
     return {
         "name": str(noted.get("name", action.name)),

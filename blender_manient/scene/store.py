@@ -93,8 +93,8 @@ class CapturedHand:
         return kept_model(self.take.model, self.side)
 
     def to_bones(self, motion: HandMotion, wrist: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Any hand's motion about this one's bones: quaternions (T, 16, 4) and wrist locations (T, 3) in
-        metres, NaN in frames without a hand; mirrored at x = 0 where it is of the other side.
+        """Return any hand's motion about this one's bones: quaternions (T, 16, 4) and wrist locations (T, 3)
+        in metres, NaN in frames without a hand; mirrored at x = 0 where it is of the other side.
 
         Fingers get its rotations, the wrist its place. `wrist` (3,) metres in the model frame is where that
         lies before it is moved; None: where this hand's model has it in the motion's shape. Raises
@@ -172,8 +172,8 @@ def kept_take(collection: bpy.types.Collection) -> Take:
 
 
 def captured_take(collection: bpy.types.Collection) -> Take:
-    """The take as it was captured, at the clip's own rate: the kept one, unless that is retimed. Hands that
-    were added or mirrored since are in the kept one alone. Raises TakeError."""
+    """Return the take as it was captured, at the clip's own rate: the kept one, unless that is retimed. Hands
+    that were added or mirrored since are in the kept one alone. Raises TakeError."""
     kept = collection.manient
     if has_properties() and kept.source_digest:
         return _read(collection, "source_take", kept.source_digest)
@@ -181,8 +181,8 @@ def captured_take(collection: bpy.types.Collection) -> Take:
 
 
 def captured_hands(scene: bpy.types.Scene, *, shown: bool = False) -> list[bpy.types.Object]:
-    """The armatures of a scene's captured hands, by the names of their captures and their own; with `shown`
-    without those of hidden captures. Decodes nothing."""
+    """Return the armatures of a scene's captured hands, by the names of their captures and their own; with
+    `shown` without those of hidden captures. Decodes nothing."""
     if not has_properties():
         return []
     hands = [o for o in scene.objects if o.type == "ARMATURE" and o.manient.is_hand]
@@ -196,7 +196,7 @@ def is_in_hidden_capture(obj: bpy.types.Object) -> bool:
 
 
 def hand_of(obj: bpy.types.Object) -> CapturedHand | None:
-    """The captured hand that an armature or its mesh belongs to.
+    """Return the captured hand that an armature or its mesh belongs to.
 
     None for all other objects, and for hands whose take is not there, as of ones that were copied to another
     file without their collection. `kept_take` says what is wrong. None also for one whose shape or place is
@@ -231,7 +231,8 @@ def hand_of(obj: bpy.types.Object) -> CapturedHand | None:
 
 
 def active_hand(context: bpy.types.Context) -> CapturedHand | None:
-    """The captured hand that the artist works on: the active object's, else the only one that is shown."""
+    """Return the captured hand that the artist works on: the active object's, else the only one that is
+    shown."""
     if context.active_object is not None:
         hand = hand_of(context.active_object)
         if hand is not None:
@@ -255,8 +256,8 @@ def captures_of(
 
 
 def attached_objects(hand: CapturedHand) -> list[bpy.types.Object]:
-    """What else hangs on the hand or is deformed by it, by name: rings, gloves, another mesh of its own, what
-    it holds."""
+    """Return the other objects that hang on the hand or are deformed by it, by name: rings, gloves, another
+    mesh of its own, what it holds."""
     armature = hand.armature
     others = [
         o
@@ -300,8 +301,8 @@ def clip_timing(collection: bpy.types.Collection) -> Timing:
 
 
 def row_of_view(collection: bpy.types.Collection, frame: float) -> int | None:
-    """The row, among the frames of a capture's second view, of the picture that its plate shows on a scene
-    frame; None where the clip has none. Raises TakeError."""
+    """Return the row, among the frames of a capture's second view, of the picture that its plate shows on a
+    scene frame; None where the clip has none. Raises TakeError."""
     captured = captured_take(collection)
     view, timing = captured.view(1), view_timing(captured, clip_timing(collection))
     rows = np.flatnonzero(view.frame_numbers == shown_number(view, timing, int(np.floor(frame + 1e-3))))

@@ -62,8 +62,8 @@ def span_of(scene: bpy.types.Scene) -> tuple[int, int]:
 
 
 def timing_in(scene: bpy.types.Scene, take: Take, frame: float | None = None) -> Timing:
-    """The take in the scene's own time: its first frame at `frame` (None: the current one), as fast as it
-    was filmed.
+    """Return where the take lies in the scene's own time: its first frame at `frame` (None: the current one),
+    as fast as it was filmed.
 
     Photos and image sequences have no rate of their own: each of their pictures is a scene frame.
     """
@@ -74,8 +74,9 @@ def timing_in(scene: bpy.types.Scene, take: Take, frame: float | None = None) ->
 
 
 def in_scene(scene: bpy.types.Scene, take: Take, frame: float | None = None) -> tuple[Take, Timing, Timing]:
-    """The take in the scene's own time, as `timing_in` says, with a row on each of the scene's whole frames
-    where the clip has another rate. Returns it, where its rows lie, and where the clip's own frames lie.
+    """Return the take in the scene's own time, as `timing_in` says, with a row on each of the scene's whole
+    frames where the clip has another rate. Returns it, where its rows lie, and where the clip's own frames
+    lie.
 
     Raises OptionError for rates that no clip is retimed to.
     """

@@ -41,9 +41,9 @@ class Followers(dict[int, Any]):
         fail: Callable[[bpy.types.Object, HandfitError | ReferenceError], None],
         is_following: Callable[[bpy.types.Object], bool] = lambda _armature: True,
     ) -> None:
-        """`go_on` does something for an armature until the given clock says that the slice is over, and is
-        called again while the follower has a change. `fail` is told of what it raises. `is_following`:
-        whether an armature is one of them still."""
+        """Follow nobody yet. `go_on` does something for an armature until the given clock says that the slice
+        is over, and is called again while the follower has a change. `fail` is told of what it raises.
+        `is_following`: whether an armature is one of them still."""
         super().__init__()
         self._go_on, self._fail, self._is_following = go_on, fail, is_following
         self.step = self._step

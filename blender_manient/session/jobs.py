@@ -356,8 +356,8 @@ def _finish(job: Job, result: CaptureResult) -> None:
 
 
 def _steps(job: Job) -> Generator[_Step, None, None]:
-    """A capture from the request to the worker until the hands are in the scene. Yields how much of them is
-    built, 0..1, or what is waited for."""
+    """Do a capture from the request to the worker until the hands are in the scene. Yields how much of them
+    is built, 0..1, or what is waited for."""
     request = job.request
     path = request.output or temporary_take(request.name)
     answer = yield from _capturing(request, path)

@@ -72,7 +72,7 @@ class SourceFiles:
 
 
 def resolve(path_text: str, *, as_sequence: bool) -> SourceFiles:
-    """The files behind a path of the panel. Blender's `//` and `~` are understood.
+    """Return the files behind a path of the panel. Blender's `//` and `~` are understood.
 
     Raises InputError with a sentence for the panel.
     """
