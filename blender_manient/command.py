@@ -22,7 +22,7 @@ NAME = "manient"
 
 _DEFAULT_PYTHON = "the preferences', else $HANDFIT_PYTHON, else Blender's own"
 _handle: Any = None
-"""What Blender gave for the registered command"""
+"""The handle that Blender gave for the registered command; None while there is none"""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -45,7 +45,8 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
-    """The command line; the options of a batch, which the core has, only where one is asked for."""
+    """Return the parser of the command line; it has the options of a batch, which the core knows, only where
+    one is asked for."""
     parser = argparse.ArgumentParser(
         prog=f"blender --command {NAME}", description="Manient Hand Capture without a window."
     )
@@ -88,8 +89,10 @@ def _run_batch(args: argparse.Namespace) -> int:
 
 
 def _own_command() -> tuple[str, ...]:
-    """What starts Blender with this command once more; where Blender is a Python module, that module, which
-    may hang while the interpreter shuts down after an export: the process ends without that."""
+    """Return the words that start Blender with this command once more.
+
+    Where Blender is a Python module, they start that module, which may hang while the interpreter shuts down
+    after an export: the process ends without that."""
     if bpy.app.binary_path:
         told = sys.argv[1 : sys.argv.index("--command")] if "--command" in sys.argv else []
         return (bpy.app.binary_path, *told, "--command", NAME)
@@ -124,13 +127,13 @@ def _check(args: argparse.Namespace) -> int:
 
 
 def register() -> None:
-    """Add the command."""
+    """Add the command `manient` to Blender's command line."""
     global _handle
     _handle = bpy.utils.register_cli_command(NAME, main)
 
 
 def unregister() -> None:
-    """Take it away again."""
+    """Take the command `manient` away again."""
     global _handle
     if _handle is not None:
         bpy.utils.unregister_cli_command(_handle)

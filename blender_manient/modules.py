@@ -55,7 +55,7 @@ class AddonModule:
         return getattr(self._module, name, {})
 
     def register(self) -> None:
-        """Register what the module has."""
+        """Register the classes, properties, handlers and menus that the module has."""
         self._register_classes()
         for (owner, name), make in self._declared("PROPERTIES").items():
             setattr(owner, name, make())
@@ -112,4 +112,4 @@ _ORDER = (
     *_submodules(panels),
 )
 MODULES = tuple(AddonModule(module) for module in dict.fromkeys(_ORDER))
-"""In the order of their registration"""
+"""The add-on's modules, in the order of their registration"""

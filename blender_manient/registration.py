@@ -22,9 +22,9 @@ SECOND_COPY = (
 )
 
 _WITHOUT_CORE = frozenset(name for name in sys.modules if name.startswith(f"{PACKAGE}."))
-"""Modules that can be imported where handfit_core cannot"""
+"""Names of the modules that can be imported where handfit_core cannot"""
 _registered: list[Any] = []
-"""In the order of registration"""
+"""The registered modules, in the order of their registration"""
 _core: ModuleType | None = None
 """The handfit_core with which the modules were imported"""
 
@@ -61,7 +61,7 @@ def unregister() -> None:
 
 
 def _addon_modules() -> tuple[Any, ...]:
-    """The modules to register, or the one that says that they cannot be imported."""
+    """Return the modules to register, or the one that says that they cannot be imported."""
     global _core
     if installation.is_installed() and (_core is None or _core is not sys.modules.get("handfit_core")):
         # What is loaded may be of an earlier zip, or of another copy that has run meanwhile.
@@ -84,7 +84,7 @@ def _addon_modules() -> tuple[Any, ...]:
 
 
 def _refused(sentence: str, reason: str = "") -> tuple[Any, ...]:
-    """The module to register where the add-on cannot run; `reason` is for the console."""
+    """Return the module to register where the add-on cannot run; `reason` is for the console."""
     installation.why_not = sentence
     installation.details = traceback.format_exc() if reason else ""
     print(f"Manient Hand Capture: {sentence}{reason}", file=sys.stderr)
@@ -92,7 +92,8 @@ def _refused(sentence: str, reason: str = "") -> tuple[Any, ...]:
 
 
 def _unload(names: Iterable[str]) -> None:
-    """Have modules imported anew. Where the package holds one as an attribute, `from . import` finds it."""
+    """Forget these modules, so that they are imported anew. Each is taken out of its package too, where `from
+    . import` would still find it."""
     for name in list(names):
         sys.modules.pop(name, None)
         package, _, leaf = name.rpartition(".")

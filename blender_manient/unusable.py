@@ -18,7 +18,7 @@ class MANIENT_PT_unusable(Section, bpy.types.Panel):
     bl_label = "Installation"
 
     def draw(self, context):
-        """Why, and what to do."""
+        """Draw why the add-on cannot run, and what to do."""
         sentence(self.layout, context, installation.why_not, "ERROR")
 
 

@@ -13,21 +13,21 @@ PRESETS = (
     ("UNITY", "Unity", "Axes and scale that Unity imports without changes"),
     ("UNREAL", "Unreal", "Axes and scale that Unreal Engine imports without changes"),
 )
-"""Name, label and description of the programs that formats know"""
+"""The name, label and description of each program that formats know"""
 
 _REQUIRED = ("name", "label", "description", "suffix")
 _BUILT_IN = ("blend", "blender_formats", "vrma", "take")
 """The files of this folder that have formats, in the order of the buttons"""
 
 _TAKEN = (".json", ".export.json", ".sheet.jpg", ".preview.png")
-"""What else a batch writes beside an input's exports"""
+"""Endings of the other files that a batch writes beside an input's exports"""
 
 EXPORTERS: dict[str, Exporter] = {}
-"""Every format by its name, in the order of the buttons; who comes later takes away no name and no suffix"""
+"""Every format by its name, in the order of the buttons; a later one takes away no name and no suffix"""
 
 
 def find_exporter(name: str) -> Exporter:
-    """The format of that name (case and a leading dot do not matter). Raises OptionError."""
+    """Return the format of that name (case and a leading dot do not matter). Raises OptionError."""
     chosen = EXPORTERS.get(name.lower().lstrip("."))
     if chosen is None:
         known = ", ".join(known for known, e in EXPORTERS.items() if e.writes != "captured")

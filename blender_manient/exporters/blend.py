@@ -40,7 +40,8 @@ class BlendExporter(Exporter):
             raise RuntimeError(str(error)) from error
 
     def is_whole(self, stream: BinaryIO, size: int, /) -> bool:
-        """Compressed frames, then a table of their lengths: zstd's seekable format."""
+        """True if the file has its compressed frames, and then a table of their lengths: zstd's seekable
+        format."""
         stream.seek(-9, io.SEEK_END)
         count, flags, magic = struct.unpack("<IBI", stream.read(9))
         width = 3 if flags & 0x80 else 2

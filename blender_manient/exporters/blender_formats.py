@@ -33,7 +33,7 @@ class BlenderFormat:
     operator: ClassVar[str]
     arguments: ClassVar[Mapping[str, Any]] = {}
     reading: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
-    """Arguments of the operators that read such files"""
+    """Arguments of Blender's importers of such files, by the operator"""
 
     def write(self, path: Path, hands: Sequence[HandObjects], preset: Preset, _final: Path, /) -> None:
         """Write the file with the arguments of the format and of the preset."""
@@ -58,9 +58,9 @@ def _operator(name: str) -> Any:
 
 
 _NODE = b"\0\x01Model"
-"""What stands behind the name of each of an FBX file's nodes"""
+"""The bytes that stand behind the name of each of an FBX file's nodes that are models"""
 _SMALL = 0.1
-"""An armature of less than this scale came out of a file in centimetres"""
+"""The scale of an armature below which its file was in centimetres"""
 
 
 class FbxExporter(BlenderFormat, Exporter):
@@ -115,7 +115,8 @@ class FbxExporter(BlenderFormat, Exporter):
     }
 
     def missing(self, path: Path, bones: Sequence[str], /) -> str:
-        """Names and curves stand in the file as they are."""
+        """Return what is missing of the bones' motion, by the names and curves, which stand in the file as
+        they are."""
         with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
             named, at = {bone.encode() for bone in bones}, content.find(_NODE)
             sizes, there = {len(name) for name in named}, set[bytes]()
@@ -127,8 +128,8 @@ class FbxExporter(BlenderFormat, Exporter):
 
     @contextlib.contextmanager
     def around(self, path: Path, hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
-        """What was imported from centimetres becomes centimetres again. The exporter also names each texture
-        with the folder that the file is in."""
+        """Turn what was imported from centimetres into centimetres again. The exporter also names each
+        texture with the folder that the file is in."""
         small = all(hand.armature.matrix_world.median_scale < _SMALL for hand in hands)
         yield {"apply_scale_options": "FBX_SCALE_NONE"} if small else {}
         blank(path, Path(os.path.abspath(path.parent)))  # noqa: PTH100  Links stay as they are.
@@ -192,7 +193,8 @@ class GltfExporter(BlenderFormat, Exporter):
             left_out.remove("manient")
 
     def missing(self, path: Path, bones: Sequence[str], /) -> str:
-        """Its first chunk lists all nodes and animations."""
+        """Return what is missing of the bones' motion, by the file's first chunk, which lists all nodes and
+        animations."""
         with path.open("rb") as stream:
             (size,) = struct.unpack("<12xI4x", stream.read(20))
             content = json.loads(stream.read(size))
@@ -206,12 +208,13 @@ class GltfExporter(BlenderFormat, Exporter):
 
 
 def _missing(bones: Sequence[str], *, moves: bool) -> str:
-    """What `Exporter.missing` says where these bones, or all motion, are not there."""
+    """Return what `Exporter.missing` says where these bones, or all motion, are not there."""
     return f"the bone {bones[0]!r} and {len(bones) - 1} others" if bones else "" if moves else "any motion"
 
 
 def _rate_turned(scene: bpy.types.Scene) -> contextlib.AbstractContextManager[None]:
-    """What Blender's glTF importer and exporter (4.2 to 5.2) multiply by, for what they should divide by."""
+    """Invert the scene's `fps_base` within, since Blender's glTF importer and exporter (4.2 to 5.2) multiply
+    by what they should divide by."""
     return with_values([(scene.render, "fps_base", 1.0 / scene.render.fps_base)])
 
 
@@ -254,7 +257,8 @@ class UsdExporter(BlenderFormat, Exporter):
         return done
 
     def missing(self, path: Path, bones: Sequence[str], /) -> str:
-        """Its skeletons name their joints, with an underscore for all that is no letter or digit."""
+        """Return what is missing of the bones' motion, by the skeletons' names of joints, with an underscore
+        for all that is no letter or digit."""
         if (stage := usd_stage(str(path))) is None:
             return ""
         # A single frame has no samples over time.
@@ -269,7 +273,7 @@ class UsdExporter(BlenderFormat, Exporter):
         return _missing([bone for bone in named if re.sub(r"\W", "_", bone) not in there], moves=moves)
 
     def is_whole(self, stream: BinaryIO, size: int, /) -> bool:
-        """The header, written last, says where the table of the sections is, which ends the file."""
+        """True if the table of the sections, which ends the file, is where the header, written last, says."""
         magic, contents = struct.unpack("<8s8xq", stream.read(24))
         if magic != b"PXR-USDC" or not 24 <= contents < size:
             return False
@@ -294,7 +298,7 @@ class BvhExporter(BlenderFormat, Exporter):
 
     @contextlib.contextmanager
     def around(self, _path: Path, hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
-        """Only a hand's wrist moves, unless it hangs on an arm; fingers have rotations alone."""
+        """Have only a hand's wrist move, unless it hangs on an arm; fingers have rotations alone."""
         scene, is_hand = bpy.context.scene, hands[0].side is not None and not has_arm(hands[0].armature)
         yield {
             "frame_start": scene.frame_start,
@@ -316,7 +320,8 @@ class AlembicExporter(BlenderFormat, Exporter):
 
     @contextlib.contextmanager
     def around(self, path: Path, hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
-        """Where the disk is full, Alembic ends Blender; its description names the open file."""
+        """Check that the disk has room, since Alembic ends Blender where it is full, and have its description
+        not name the open file."""
         meshes = [mesh for hand in hands for mesh in hand.meshes]
         if not meshes:
             raise OptionError("Alembic needs a mesh to hold, and there is none: choose another format")
@@ -325,7 +330,8 @@ class AlembicExporter(BlenderFormat, Exporter):
         blank(path, Path(bpy.data.filepath).parent)
 
     def is_whole(self, stream: BinaryIO, size: int, /) -> bool:
-        """Ogawa's second field says whether the file was finished; the root, which it points to, ends it."""
+        """True if Ogawa's second field says that the file was finished, and the root, which it points to,
+        ends it."""
         magic, finished, root = struct.unpack("<5sB2xQ", stream.read(16))
         if magic != b"Ogawa" or finished != 0xFF or not 16 <= root < size:
             return False
@@ -335,7 +341,8 @@ class AlembicExporter(BlenderFormat, Exporter):
 
 
 def _alembic_size(meshes: Sequence[bpy.types.Object]) -> int:
-    """Bytes that the context's scene with these meshes takes at most as Alembic, rather too many."""
+    """Return how many bytes the context's scene with these meshes takes as Alembic at most, rather too
+    many."""
     frames = bpy.context.scene.frame_end - bpy.context.scene.frame_start + 1
     graph, size = bpy.context.evaluated_depsgraph_get(), 1 << 16
     for obj in meshes:

@@ -34,18 +34,18 @@ from .exporter import HandObjects, Preset
 
 @dataclass(frozen=True)
 class CleanHand:
-    """A plain copy of a hand or a character."""
+    """A plain copy of a hand or a character, which programs can take literally."""
 
     side: Side | None
     armature: bpy.types.Object
     meshes: tuple[bpy.types.Object, ...]
-    """None of them where the artist deleted it"""
+    """The copied meshes; none of a hand whose mesh the artist deleted"""
 
 
 NEAR = 1e-5
 """metres from its rest place within which a bone stays in it to the eye"""
 _STILL = 1e-7
-"""parts of a unit. Bones that move and grow by less get no keys for it"""
+"""Parts of a unit: bones that move and grow by less get no keys for it"""
 
 
 @contextlib.contextmanager
@@ -57,7 +57,8 @@ def clean_rig(
     preset: Preset,
     apart: float = 0.0,
 ) -> Iterator[CleanHand]:
-    """A copy of the hand in the context's scene, whose armature object is called `name` (empty: as before).
+    """Make a copy of the hand in the context's scene, whose armature object is called `name` (empty: as
+    before).
 
     `metres_per_unit` is the artist's scene's. The preset's rotation is done to the data and undone by the
     object. `apart` is that of the exporter. The hand must be in that scene, which has the copy instead
@@ -143,7 +144,7 @@ def clean_rig(
 
 
 def _copy(original: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Object:
-    """A copy with data of its own, that nothing moves."""
+    """Return a copy of an object with data of its own, that nothing moves."""
     obj, data = original.copy(), original.data.copy()
     for copied in (obj, data):
         if copied.override_library is not None:  # of which nothing could be taken away
@@ -164,7 +165,7 @@ def _copy(original: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Objec
 
 
 def _carrier(armature: bpy.types.Object, mesh: bpy.types.Object) -> str:
-    """The bone that carries a mesh; empty: none."""
+    """Return the name of the bone that carries a mesh; empty where none does."""
     return mesh.parent_bone if mesh.parent == armature and mesh.parent_type == "BONE" else ""
 
 
@@ -176,7 +177,8 @@ def _deformed(armature: bpy.types.Object, mesh: bpy.types.Object) -> bool:
 def _places(
     meshes: Sequence[bpy.types.Object], frames: Sequence[int], scene: bpy.types.Scene
 ) -> list[np.ndarray]:
-    """(N, 4, 4) each mesh in the world on every frame."""
+    """Return for each mesh (N, 4, 4): its matrix in the world on each of the N frames, in the scene's
+    units."""
     found = [
         [np.array(mesh.evaluated_get(depsgraph).matrix_world, dtype=np.float64) for mesh in meshes]
         for depsgraph in (stepped(scene, frames) if meshes else ())
@@ -185,14 +187,16 @@ def _places(
 
 
 def _from_largest(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(4, 4) the place where an object is largest, and (N, 4, 4) from there to all of its places."""
+    """Return (4, 4) the place where an object is largest, and (N, 4, 4) the matrices from there to each of
+    its N places."""
     sizes = np.abs(np.linalg.det(places[:, :3, :3]))
     largest = places[int((sizes > sizes.max() * (1.0 - 1e-4)).argmax())]
     return largest, places @ np.linalg.pinv(largest)
 
 
 def _at_rest(armature: bpy.types.Object, mesh: bpy.types.Object, carrier: str) -> np.ndarray:
-    """(4, 4) from a mesh's space to the armature's, with the bone `carrier` that carries it at rest."""
+    """Return the (4, 4) matrix from a mesh's space to the armature's, with the bone `carrier` that carries it
+    at rest."""
     local = np.array(armature.matrix_world.inverted() @ mesh.matrix_world)
     if not carrier:
         return local
@@ -210,7 +214,8 @@ def _deform_by(mesh: bpy.types.Object, armature: bpy.types.Object, bone: str) ->
 
 
 def _reparent(armature: bpy.types.Object, tree: Mapping[str, str]) -> None:
-    """Leave an armature the bones of a tree, as `deforming_tree` gives it."""
+    """Remove all bones that the tree does not name, and hang the others on the parents that it gives
+    (`deforming_tree`)."""
     with edited_bones(armature.data) as bones:
         bones_left_out = [bone for bone in bones if bone.name not in tree]
         for bone in bones:
@@ -237,7 +242,8 @@ def unconnect(armature: bpy.types.Object, moving: Collection[str], apart: float)
 def _retarget(
     mesh: bpy.types.Object, old: bpy.types.Object, new: bpy.types.Object, tree: Mapping[str, str]
 ) -> None:
-    """Modifiers and shape keys of the copy follow the copied bones; drivers by other bones stay."""
+    """Have modifiers and shape keys of the copied mesh follow the copied bones; drivers by other bones
+    stay."""
     for modifier in mesh.modifiers:
         if modifier.type == "ARMATURE" and modifier.object == old:
             modifier.object = new
@@ -291,7 +297,8 @@ def _bake(
 def _key(
     obj: bpy.types.Object, parts: Sequence[tuple[str, str, np.ndarray]], frames: Sequence[int]
 ) -> bpy.types.Action:
-    """Key bones, or without a name the object itself: attributes with their values (N, C)."""
+    """Key bones, or without a name the object itself, on each frame; `parts` has attributes with their values
+    (N, C)."""
     action = bpy.data.actions.new(obj.name)
     holder = assign_action(obj, action)
     for bone, attribute, values in parts:
@@ -301,12 +308,12 @@ def _key(
 
 
 _BESIDE = 1e-3
-"""parts of a bone's length by which another may lie beside it and still stand for it"""
+"""Parts of a bone's length by which another may lie beside it and still stand for it"""
 
 
 def deforming_tree(armature: bpy.types.Object) -> tuple[dict[str, str], dict[str, str]]:
-    """The name of each bone that deforms, with that of the deforming bone it hangs on; and the name of every
-    bone, with that of the deforming bone that stands for it. Empty names: none.
+    """Return the name of each bone that deforms, with that of the deforming bone it hangs on; and the name of
+    every bone, with that of the deforming bone that stands for it. Empty names: none.
 
     A control rig's deforming bones often hang on bones that deform nothing, as Rigify's DEF- bones do on its
     ORG- bones. Such a bone is stood for by the deforming bone that lies on it at rest; where none does, its
@@ -330,7 +337,7 @@ def deforming_tree(armature: bpy.types.Object) -> tuple[dict[str, str], dict[str
 
 
 def _descendants(parents: dict[int, int], bone: int) -> set[int]:
-    """The bone and all that hang on it so far."""
+    """Return the indices of a bone and of all that hang on it so far."""
     found = {bone}
     while more := {child for child, parent in parents.items() if parent in found} - found:
         found |= more
@@ -340,8 +347,8 @@ def _descendants(parents: dict[int, int], bone: int) -> set[int]:
 def _standing(
     bones: Bones, line: Iterable[int], near: np.ndarray, kept: np.ndarray, without: set[int]
 ) -> int:
-    """The first of `line` that is among the kept bones, or for which one of them stands: of several the one
-    whose end is nearest to a point (3,). -1: none of them."""
+    """Return the first of `line` that is among the kept bones, or for which one of them stands: of several
+    the one whose end is nearest to a point (3,); -1 where there is none."""
     allowed = np.array([bone for bone in kept.tolist() if bone not in without], dtype=int)
     for bone in line:
         if bone in allowed:

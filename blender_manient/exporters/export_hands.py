@@ -59,13 +59,13 @@ class Stage:
     first: int
     last: int
     metres_per_unit: float
-    """of the scene that the hands are in"""
+    """Metres for one unit of length of the scene that the hands are in"""
     view_transform: str
     """How colours are shown: the picture behind the hands keeps its own in `Standard`"""
 
     @classmethod
     def of_scene(cls, scene: bpy.types.Scene, first: int | None = None, last: int | None = None) -> Stage:
-        """A scene's own; `first` and `last` replace its frame range."""
+        """Return the stage of a scene as it is; `first` and `last` replace its frame range."""
         return cls(
             {name: getattr(scene.render, name) for name in _RENDER},
             scene.frame_start if first is None else first,
@@ -76,8 +76,8 @@ class Stage:
 
     @classmethod
     def of_take(cls, take: Take) -> Stage:
-        """What a scene gets that is matched to the take; the unit of length and how colours are shown are the
-        open scene's."""
+        """Return the stage that a scene gets that is matched to the take; the unit of length and how colours
+        are shown are the open scene's."""
         metres_per_unit = bpy.context.scene.unit_settings.scale_length
         view_transform = bpy.context.scene.view_settings.view_transform
         with unseen_scene("take") as scene:
@@ -150,13 +150,13 @@ def export_hands(
 
 
 def _objects(hands: Sequence[HandObjects]) -> list[bpy.types.Object]:
-    """The armatures and meshes of hands."""
+    """Return the armatures and meshes of hands."""
     return [o for hand in hands for o in (hand.armature, *hand.meshes)]
 
 
 @dataclass(frozen=True)
 class _Export:
-    """What is written, and how."""
+    """The work of writing hands or a character in one format, with its settings."""
 
     chosen: Exporter
     preset: Preset
@@ -165,7 +165,7 @@ class _Export:
     whole: tuple[bpy.types.Collection, bpy.types.Object] | None
 
     def write(self, folder: Path, name: str) -> list[Path]:
-        """Write one file, or one for each hand."""
+        """Write one file, or one for each hand; return the files."""
         chosen, hands = self.chosen, self.hands
         if not chosen.per_hand:
             file_name = name if name.lower().endswith(chosen.kept_endings) else name + chosen.suffix
@@ -265,7 +265,7 @@ def _is_whole_scene(chosen: Exporter, hands: Sequence[HandObjects]) -> bool:
 
 
 def _linked(hands: Sequence[HandObjects], *, carriers: bool) -> dict[bpy.types.Object, None]:
-    """What the exported scene holds; with `carriers`, also the parents of characters."""
+    """Return the objects that the exported scene holds; with `carriers`, also the parents of characters."""
     found = dict.fromkeys(_objects(hands))
     carried = list(found) if carriers and _is_character(hands) else []
     for obj in carried:
@@ -275,14 +275,15 @@ def _linked(hands: Sequence[HandObjects], *, carriers: bool) -> dict[bpy.types.O
 
 
 def _unrounded(meshes: Iterable[bpy.types.Object]) -> contextlib.AbstractContextManager[None]:
-    """Meshes are not subdivided meanwhile: files have the model's own vertices, and its shape keys."""
+    """Have meshes not be subdivided within: files have the model's own vertices, and its shape keys."""
     rounded = [mesh.modifiers[IN_RENDERS] for mesh in meshes if IN_RENDERS in mesh.modifiers]
     return with_values((each, name, False) for each in rounded for name in ("show_render", "show_viewport"))
 
 
 @contextlib.contextmanager
 def _files_by_name(armatures: Sequence[bpy.types.Object]) -> Iterator[None]:
-    """What armatures say about their picture and model is without folders meanwhile, which are private."""
+    """Have the armatures' properties name their picture and model without folders within, which are
+    private."""
     paths = [
         (armature, key, armature[key])
         for armature in armatures
@@ -299,8 +300,8 @@ def _files_by_name(armatures: Sequence[bpy.types.Object]) -> Iterator[None]:
 
 
 def _root_name(root: str, hands: Sequence[HandObjects], index: int) -> str:
-    """`root` for one hand, `left_root` and so on for several; for a character that has such a bone, what
-    Unreal leaves out."""
+    """Return the name of a hand's armature object: `root` for one hand, `left_root` and so on for several;
+    for a character that has such a bone, what Unreal leaves out."""
     if not root or len(hands) == 1:
         bone = hands[0].armature.data.bones.get(root) if _is_character(hands) else None
         return "Armature" if bone is not None and bone.use_deform else root

@@ -18,7 +18,7 @@ from handfit_core.common.skeleton import Side
 from ..common.blender_versions import has_operator
 
 APART = 2e-4
-"""metres by which bones that do not touch lie apart for Blender's importers"""
+"""Metres by which bones that do not touch lie apart for Blender's importers"""
 
 
 class HandObjects(Protocol):
@@ -26,49 +26,49 @@ class HandObjects(Protocol):
 
     @property
     def side(self) -> Side | None:
-        """Left or right; None: a character."""
+        """Return left or right; None for a character."""
         ...
 
     @property
     def armature(self) -> bpy.types.Object:
-        """The armature that is written."""
+        """Return the armature that is written."""
         ...
 
     @property
     def meshes(self) -> Sequence[bpy.types.Object]:
-        """What it deforms; none where the artist deleted a hand's."""
+        """Return the meshes that the armature deforms; none where the artist deleted a hand's."""
         ...
 
 
 @dataclass(frozen=True)
 class Preset:
-    """What one program wants of one format."""
+    """The demands of one program on one format."""
 
     keywords: dict[str, Any] = field(default_factory=dict)
-    """For Blender's exporter, over those of the format"""
+    """Arguments of Blender's exporter that replace those of the format"""
     clean: bool = True
     """True if the rig is written as `clean_rig` makes it"""
     units: float = 1.0
     """How many units of the file a metre is"""
     turn: np.ndarray | None = None
-    """(3, 3) what the data is turned by, so that the objects need not be"""
+    """(3, 3) the rotation by which the data is turned, so that the objects need not be; None for none"""
     root: str = ""
-    """What the armature object is called; empty: as in Blender"""
+    """The name of the armature object in the file; empty: as in Blender"""
 
 
 class Exporter(ABC):
     """One file format. A class in a file of this folder is all that adds one."""
 
     name: ClassVar[str]
-    """On the command line and in scripts"""
+    """The name of the format on the command line and in scripts"""
     label: ClassVar[str]
-    """On its button"""
+    """The text of the format's button"""
     description: ClassVar[str]
-    """What the tooltip of its button says"""
+    """The text of the button's tooltip"""
     suffix: ClassVar[str]
     writes: ClassVar[Literal["hands", "collection", "captured"]] = "hands"
-    """What it wants: a scene with nothing but the hands; the whole collection with its camera, as a batch has
-    it; or hands that keep their take, as the panel has them"""
+    """The kind of input that the format wants: a scene with nothing but the hands; the whole collection with
+    its camera, as a batch has it; or hands that keep their take, as the panel has them"""
     operator: ClassVar[str] = ""
     """The Blender operator that it needs, as module.name; empty for none"""
     bakes: ClassVar[bool] = True
@@ -77,7 +77,7 @@ class Exporter(ABC):
     per_hand: ClassVar[bool] = False
     """True if each hand needs a file of its own"""
     presets: ClassVar[Mapping[str, Preset]] = {}
-    """What differs for UNITY and UNREAL"""
+    """By UNITY and UNREAL, what differs from PLAIN for that program"""
     kept_endings: ClassVar[tuple[str, ...]] = ()
     """Endings of a name that stay instead of the suffix"""
     other_endings: ClassVar[tuple[str, ...]] = ()
@@ -103,22 +103,24 @@ class Exporter(ABC):
         return True
 
     def missing(self, _path: Path, _bones: Sequence[str], /) -> str:
-        """What of the motion of these bones a file that was written does not hold, as part of a sentence;
-        empty where it holds it, or where that is not looked at."""
+        """Return what of the motion of these bones a file that was written does not hold, as part of a
+        sentence; empty where it holds it, or where that is not looked at."""
         return ""
 
     def read(self, path: Path, operator: str, /) -> set[str]:
-        """Import a file into the open scene by an operator of `reads`. Returns what that returns. Raises
+        """Import a file into the open scene by an operator of `reads`; return the operator's result. Raises
         RuntimeError."""
         raise NotImplementedError
 
     def why_not(self) -> str:
-        """Why this Blender cannot write it, and what to do, as part of a sentence; empty if it can."""
+        """Return why this Blender cannot write the format, and what to do, as part of a sentence; empty if it
+        can."""
         return why_missing(self.operator) if self.operator else ""
 
 
 def why_missing(operator: str) -> str:
-    """Why this Blender lacks an operator, and what to do, as part of a sentence; empty if it does not."""
+    """Return why this Blender lacks an operator, and what to do, as part of a sentence; empty if it does
+    not."""
     if has_operator(operator):
         return ""
     if operator.startswith("wm."):

@@ -25,7 +25,7 @@ from .exporter import APART, Exporter, why_missing
 
 
 def readable() -> dict[str, Exporter]:
-    """The formats of other programs' files, by the endings of those that Blender can import."""
+    """Return the formats of other programs' files, by the endings of those that Blender can import."""
     return {ending: exporter for exporter in EXPORTERS.values() for ending in exporter.reads}
 
 
@@ -56,7 +56,8 @@ def import_file(path: Path) -> set[bpy.types.ID]:
 
 
 def import_in_time(path: Path) -> set[bpy.types.ID]:
-    """`import_file` into a scene that keeps its rate and range: keys lie at the same seconds."""
+    """Import a file as `import_file` does into a scene that keeps its rate and range: keys lie at the same
+    seconds."""
     scene = bpy.context.scene
     rate, render = frame_rate(scene), scene.render
     kept = render.fps, render.fps_base, scene.frame_start, scene.frame_end
@@ -74,7 +75,7 @@ def import_in_time(path: Path) -> set[bpy.types.ID]:
 
 
 def animations() -> tuple[set[bpy.types.Action], set[bpy.types.Action]]:
-    """The actions of the open file that are used now, and the others in which something moves."""
+    """Return the actions of the open file that are used now, and the others in which something moves."""
     blocks = [block for block in bpy.data.user_map() if getattr(block, "animation_data", None) is not None]
     acting = {action for block in blocks for action, _ in used_actions(block, acting=True)}  # type: ignore
     others = set(bpy.data.actions) - acting
@@ -82,7 +83,7 @@ def animations() -> tuple[set[bpy.types.Action], set[bpy.types.Action]]:
 
 
 def _moving(action: bpy.types.Action, slot: Any) -> int:
-    """How many curves do not keep their value."""
+    """Return how many curves of an action's slot do not keep their value."""
     count = 0
     for curve in curves_in(channels(action, slot)):
         keys = np.empty((len(curve.keyframe_points), 2), dtype=np.float32)
@@ -92,14 +93,14 @@ def _moving(action: bpy.types.Action, slot: Any) -> int:
 
 
 def _reason(said: str) -> str:
-    """Blender's words on a failure, without the lines of a traceback."""
+    """Return Blender's words on a failure, without the lines of a traceback."""
     words = " ".join(said.replace("Error: ", "").partition("Python: Traceback")[0].split())
     advice = "it may be damaged or cut off, as Blender could not import it: export it again"
     return f"{advice} ({words})" if words else advice
 
 
 def _settle(new: set[bpy.types.ID]) -> None:
-    """Of several animations each block gets the one that moves most of it, where importers take the first:
+    """Give each block, of several animations, the one that moves most of it, where importers take the first:
     Blender's own FBX files also have those of others for it, in which it stands still."""
     actions = [block for block in new if isinstance(block, bpy.types.Action)]
     for block in new:
@@ -123,7 +124,7 @@ def _settle(new: set[bpy.types.ID]) -> None:
 
 
 def _with_locations(armature: bpy.types.Object, still: float) -> set[str]:
-    """The bones whose keys move them farther than `still` from their rest."""
+    """Return the bones whose keys move them farther than `still` from their rest."""
     places = [curve for curve in present_curves(armature) if curve.data_path.endswith(".location")]
     moving = {c.data_path for c in places if any(abs(key.co.y) > still for key in c.keyframe_points)}
     return {bone.name for bone in armature.pose.bones if f"{bone_path(bone.name)}.location" in moving}

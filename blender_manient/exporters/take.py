@@ -28,7 +28,7 @@ from .exporter import Exporter, HandObjects, Preset
 
 
 class TakeExporter(Exporter):
-    """What `retaken` makes of hands that keep their take."""
+    """Captured hands as a take file: `retaken` makes it of hands that keep their take."""
 
     name = "npz"
     label = "Hand Take"
@@ -43,7 +43,7 @@ class TakeExporter(Exporter):
 
 
 def retaken(hands: Sequence[CapturedHand]) -> Take:
-    """The take of captured hands of one collection, with their present shape and motion.
+    """Return the take of captured hands of one collection, with their present shape and motion.
 
     global_orient, hand_pose, transl, joints_3d and the errors are computed anew in the take's frames, from
     what the rigs show there relative to the capture camera; detections stay. Frames in which nothing was
@@ -66,7 +66,7 @@ def retaken(hands: Sequence[CapturedHand]) -> Take:
 
 
 def _of_pictures(take: Take, captured: Take) -> Take:
-    """A retimed take as one of the clip's own frames: those that the scene shows."""
+    """Return a retimed take as one of the clip's own frames: those that the scene shows."""
     if captured.fps == take.fps:
         return take
     rows, numbers = shown_rows(take, np.asarray(captured.frame_numbers), take.fps / captured.fps)
@@ -75,7 +75,7 @@ def _of_pictures(take: Take, captured: Take) -> Take:
 
 
 def _track(hand: CapturedHand, frames: np.ndarray, metres: float, scene: bpy.types.Scene) -> HandTrack:
-    """One hand's track; `scene` holds it and the camera. `metres` per unit of the artist's scene."""
+    """Return one hand's track; `scene` holds it and the camera. `metres` per unit of the artist's scene."""
     model, betas, shaped = hand.model(), hand.betas, hand.shaped()
     posed = _posed_rows(hand)
     present = hand.track.present | posed
@@ -107,7 +107,7 @@ def _track(hand: CapturedHand, frames: np.ndarray, metres: float, scene: bpy.typ
 
 
 def _posed_rows(hand: CapturedHand) -> np.ndarray:
-    """(T,) bool: the take's rows that have keys or a correction."""
+    """Return (T,) bool: the take's rows that have keys or a correction."""
     keyed = read_pose_keys(hand.rig).frames
     rows = rows_at(hand.collection, hand.take, keyed)
     posed = np.zeros(len(hand.take.frame_numbers), dtype=bool)
@@ -118,8 +118,8 @@ def _posed_rows(hand: CapturedHand) -> np.ndarray:
 def _bones(
     hand: CapturedHand, frames: np.ndarray, metres: float, scene: bpy.types.Scene
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Quaternions (N, 16, 4) and wrist locations (N, 3) in metres, as if nothing but the bones' keys moved
-    the hand before a camera that stands where capture cameras stand."""
+    """Return quaternions (N, 16, 4) as (w, x, y, z) and wrist locations (N, 3) in metres, as if nothing but
+    the bones' keys moved the hand before a camera that stands where capture cameras stand."""
     sampled = sample(hand.armature, frames, scene, hand.rig.bones)
     space = np.diag([metres, metres, metres, 1.0]) @ np.linalg.inv(_camera_frames(hand.camera, frames, scene))
     space = space @ sampled.world
@@ -128,7 +128,8 @@ def _bones(
 
 
 def _camera_frames(camera: bpy.types.Object | None, frames: np.ndarray, scene: bpy.types.Scene) -> np.ndarray:
-    """(N, 4, 4) where the capture camera has been moved to; without one, nowhere."""
+    """Return (N, 4, 4), the matrices to which the capture camera has been moved; without a camera, those of
+    one that was not."""
     if camera is None:
         return np.broadcast_to(np.eye(4), (len(frames), 4, 4))
     found = []

@@ -28,9 +28,9 @@ from ..scene.sampling import Sampled, rotations_of, sample
 from .exporter import Exporter, HandObjects, Preset
 
 _STILL = 1e-3
-"""radians by which a hand that is not turned to its forearm may be off"""
+"""Radians by which a hand that is not turned to its forearm may be off"""
 _ASIDE = 0.05
-"""metres of our hand's size: what begins nearer to the wrist is a helping bone and no forearm"""
+"""Metres at our hand's size: a bone that begins nearer to the wrist is a helping bone and no forearm"""
 
 
 class VrmaExporter(Exporter):
@@ -54,7 +54,8 @@ class VrmaExporter(Exporter):
 
 
 def _hands_of(hand: HandObjects) -> list[HumanoidHand]:
-    """What the context's scene shows of a captured hand, or of a character's hands, over its frame range."""
+    """Return what the context's scene shows of a captured hand, or of a character's hands, over its frame
+    range."""
     bones, mapped = bones_of(hand.armature), list[tuple[HandMap, SourceHand]]()
     if hand.side is not None:
         rig = rig_of(hand.armature, hand.side)
@@ -81,8 +82,8 @@ def _open_hand(side: Side) -> SourceHand:
 
 
 def _at_rest(rig: Rig, bones: Bones) -> SourceHand:
-    """A captured hand's own joints, which are flat at rest; of a rig that says it rests otherwise, the open
-    hand's."""
+    """Return a captured hand's own joints, which are flat at rest; of a rig that says it rests otherwise, the
+    open hand's."""
     if type(rig).from_bones is not Rig.from_bones:
         return _open_hand(rig.side)
     at = [bones.index[name] for name in rig.bones]
@@ -93,10 +94,11 @@ def _at_rest(rig: Rig, bones: Bones) -> SourceHand:
 def _moving(
     bones: Bones, source: SourceHand, target: TargetHand, wrist: tuple[str, ...], sampled: Sampled
 ) -> HumanoidHand:
-    """One hand as the scene shows it over its frame range; `wrist` as `_wrist_and_forearm` returns it."""
+    """Return one hand as the scene shows it over its frame range; `wrist` as `_wrist_and_forearm` returns
+    it."""
 
     def posed(name: str) -> np.ndarray:
-        """(N, 3, 3) how a bone is turned from its rest, in the armature's space."""
+        """Return (N, 3, 3), how a bone is turned from its rest, in the armature's space."""
         shown = sampled.pose[:, sampled.names.index(name)]
         return rotations_of(shown) @ bones.frames[bones.index[name]].T
 
@@ -114,8 +116,9 @@ def _moving(
 
 
 def _wrist_and_forearm(bones: Bones, target: TargetHand) -> tuple[str, ...]:
-    """The two bones between which a wrist bends; none where the hand hangs on no arm. Rigify's deforming
-    bones share the wrist's twist, those of its chain (ORG) do not."""
+    """Return the names of the two bones between which a wrist bends; none where the hand hangs on no arm.
+
+    Rigify's deforming bones share the wrist's twist, those of its chain (ORG) do not."""
     name = target.hand_map.bones[0]
     own = f"ORG-{name.removeprefix('DEF-').removeprefix('ORG-')}"
     hand = bones.index.get(own, bones.index[name])

@@ -35,7 +35,7 @@ _SEEN = (("back", "Back", "The back of the hand is seen"), ("palm", "Palm", "The
 
 
 class _Mode(view.Overlay):
-    """The state between the button and the hand."""
+    """The mode of Add Hand, from its button until a hand is laid into the picture or Esc is pressed."""
 
     def __init__(self, context, viewport: view.Viewport, capture: bpy.types.Collection) -> None:
         self.capture, self.take = capture.name, kept_take(capture)
@@ -43,26 +43,29 @@ class _Mode(view.Overlay):
         self.view = view.CaptureView(viewport, [capture.manient.camera], context)
         self.seen: Any = "back"
         self.ends: np.ndarray | None = None
-        """(2, 2) pixels of the picture: wrist and knuckle"""
+        """(2, 2) pixels of the picture: where the wrist and the middle finger's knuckle were laid; None
+        before"""
         self.pressed: np.ndarray | None = None
-        """(2,) pixels of the region"""
+        """(2,) pixels of the viewport's region: where the mouse was pressed; None while it is not"""
         self.message = ""
         super().__init__(viewport)
 
     def end(self, context) -> None:
-        """Leave nothing behind. May be called twice."""
+        """Take the drawing away and put the viewport back as it was. May be called twice."""
         if self.remove():
             self.view.leave(context)
 
     def matrix(self, viewport: view.Viewport) -> np.ndarray | None:
-        """Picture to region; None while the viewport does not look through the capture camera."""
+        """Return the (3, 3) matrix from pixels of the picture to pixels of the viewport's region; None while
+        the viewport does not look through the capture camera."""
         camera = bpy.data.objects.get(self.camera)
         if camera is None or not self.view.shows(viewport):
             return None
         return view.picture_matrix(viewport, camera, self.take.intrinsics)
 
     def follow(self, viewport: view.Viewport, mouse: np.ndarray) -> None:
-        """Have the hand lie where the mouse says: its wrist there, or between the press and the mouse."""
+        """Have the hand lie where the mouse says: its wrist under the mouse, or, while a button is held, from
+        the place of the press to the mouse."""
         matrix = self.matrix(viewport)
         if matrix is None:
             self.ends = None
@@ -79,7 +82,7 @@ class _Mode(view.Overlay):
         self.ends = places
 
     def points(self, side: Side) -> np.ndarray:
-        """(21, 2) pixels of the picture: the hand as it would be added; NaN where there is none."""
+        """Return (21, 2) pixels of the picture: the hand as it would be added; NaN where there is none."""
         if self.ends is None:
             return np.full((NUM_KEYPOINTS, 2), np.nan)
         try:
@@ -91,7 +94,7 @@ class _Mode(view.Overlay):
             return np.full((NUM_KEYPOINTS, 2), np.nan)
 
     def draw(self, viewport: view.Viewport) -> None:
-        """Draw the hand as it would be added, and a line about it."""
+        """Draw the hand as it would be added, and a line of text about it."""
         side, matrix = bpy.context.scene.manient.added_side, self.matrix(viewport)
         text = f"{side.capitalize()} hand, its {self.seen} to you: drag from the wrist to the middle knuckle"
         if matrix is None:
@@ -153,7 +156,8 @@ class MANIENT_OT_add_hand(ModeOperator, bpy.types.Operator):
         return None
 
     def run(self, context):
-        """Add it where wrist and knuckle say: for scripts, and without a window."""
+        """Add the hand with its wrist and knuckle where the properties say: for scripts, and without a
+        window."""
         capture = target_capture(context)
         if capture is None:
             jobs.submit(new_request(context, only_frame=False, bare=True))
@@ -213,8 +217,9 @@ class MANIENT_OT_add_hand(ModeOperator, bpy.types.Operator):
 
 
 def target_capture(context: bpy.types.Context) -> bpy.types.Collection | None:
-    """The capture whose picture a hand is added to: one of the panel's source, that of the active hand before
-    others and the newest before older ones; without a source the active hand's. Raises HandfitError."""
+    """Return the capture whose picture a hand is added to: one of the panel's source, that of the active hand
+    before others and the newest before older ones; without a source the active hand's. Raises
+    HandfitError."""
     settings, hand = context.scene.manient, active_hand(context)
     if not settings.source and hand is not None:
         return hand.collection if hand.camera is not None else None

@@ -48,10 +48,10 @@ class ManientOperator:
 
     @classmethod
     def poll_reason(cls, context: bpy.types.Context) -> str | None:
-        """Why it cannot begin, a sentence; None where it can."""
+        """Return why the operator cannot begin, a sentence for its tooltip; None where it can."""
 
     def run(self, context: bpy.types.Context) -> str | set[str] | None:
-        """Do the work. Returns what is reported of it, or Blender's own result. Raises HandfitError, which
+        """Do the work. Return what is reported of it, or Blender's own result. Raises HandfitError, which
         cancels it."""
         raise NotImplementedError
 
@@ -72,7 +72,7 @@ class ManientOperator:
         return {"FINISHED"}
 
     def _nothing_done(self, sentence: str) -> set[str]:
-        """The result where there is nothing to do, which is no error."""
+        """Return the result where there is nothing to do, which is no error, and report the sentence."""
         self.report({"INFO"}, sentence)
         return {"CANCELLED"}
 
@@ -95,9 +95,10 @@ class HandOperator(ManientOperator):
     """The base of operators on the active captured hand."""
 
     why_not = staticmethod(why_not_editable)
-    """Tells why the hand cannot be worked on; by default why nothing of it can be changed"""
+    """Returns why the hand cannot be worked on, a sentence, or None; by default why nothing of it can be
+    changed"""
     anywhere = False
-    """True if it works in every mode, and not only where the hand is posed"""
+    """True if the operator works in every mode, and not only where the hand is posed"""
 
     @classmethod
     def poll_reason(cls, context) -> str | None:
@@ -120,11 +121,11 @@ class CharacterOperator(ManientOperator):
 
 @dataclass
 class ModalState:
-    """A modal operator that goes on."""
+    """The state of a modal operator that goes on."""
 
     timer: Any = None
     can_stop: bool = True
-    """True if it can still be stopped before anything is changed"""
+    """True if the operator can still be stopped before anything is changed"""
     stopped: bool = False
 
     def stop(self) -> None:
@@ -133,9 +134,9 @@ class ModalState:
 
 
 _running: dict[str, ModalState] = {}
-"""What goes on now, by the operators' names, which are their classes': an instance's `bl_idname` is Blender's
-own, MANIENT_OT_... An annotation in an operator must name no class of ours: Blender keeps it, and hangs when
-Python ends."""
+"""The modal operators that go on now, by their names, which are their classes': an instance's `bl_idname` is
+Blender's own, MANIENT_OT_... An annotation in an operator must name no class of ours: Blender keeps it, and
+hangs when Python ends."""
 
 
 class ModalOperator(ManientOperator):
@@ -145,12 +146,12 @@ class ModalOperator(ManientOperator):
     bl_idname: str
     running = _running
     tick = 0.02
-    """seconds between two TIMER events"""
+    """Seconds between two TIMER events"""
     _timer: Any = None
 
     def begin(self, context: bpy.types.Context) -> set[str] | None:
-        """Prepare what `follow` goes on with. Returns a result where there is nothing to follow. Raises
-        HandfitError, which cancels it."""
+        """Prepare what `follow` goes on with. Return a result where there is nothing to follow. Raises
+        HandfitError, which cancels the operator."""
 
     def follow(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Go on with an event; whoever returns FINISHED or CANCELLED has called `end`. Raises HandfitError,
@@ -158,7 +159,7 @@ class ModalOperator(ManientOperator):
         raise NotImplementedError
 
     def ended(self, context: bpy.types.Context) -> None:
-        """Leave nothing behind. May be called twice."""
+        """Clean up behind the operator at its end. May be called twice."""
 
     def invoke(self, context, _event):
         return self._reported(self._begun, context)
@@ -184,12 +185,13 @@ class ModalOperator(ManientOperator):
             raise
 
     def cancel(self, context):
-        """Blender ends the operator itself, as on loading a file, or a dialog that has begun nothing."""
+        """Clean up where Blender ends the operator itself, as on loading a file, or a dialog that has begun
+        nothing."""
         if self._timer is not None:
             self.end(context)
 
     def end(self, context: bpy.types.Context) -> set[str]:
-        """End it, its timer and its status line; returns FINISHED. May be called twice."""
+        """End the operator, its timer and its status line; return FINISHED. May be called twice."""
         self.running.pop(type(self).bl_idname, None)
         self.ended(context)
         if self._timer is not None:
@@ -199,7 +201,7 @@ class ModalOperator(ManientOperator):
         return {"FINISHED"}
 
     def show_status(self, context: bpy.types.Context, text: str | None) -> None:
-        """Show a line in the status bar; None: Blender's own again."""
+        """Show a line in the status bar; None shows Blender's own again."""
         if context.workspace is not None:
             context.workspace.status_text_set(text)
 
@@ -208,7 +210,7 @@ class ModeOperator(ModalOperator):
     """The base of operators that run a mode over a viewport, one of a kind at a time."""
 
     current: Any = None
-    """The mode, while it goes on"""
+    """The mode, while it goes on; None otherwise"""
 
     @classmethod
     def leave(cls, *_args) -> None:
@@ -222,7 +224,7 @@ class ModeOperator(ModalOperator):
 
 
 def finish(steps: Generator[str | Progress, None, Any]) -> Any:
-    """Do steps without a window beside them; what they return. `Progress` is of another process, which is
+    """Do steps without a window beside them; return their result. `Progress` is of another process, which is
     waited for."""
     with closing(steps):
         while True:
@@ -239,7 +241,7 @@ class StepsOperator(ModalOperator):
     bl_options = {"REGISTER", "UNDO"}
     tick = 1 / 60
     title: str
-    """of what they do, as a sentence begins with it"""
+    """A name of the work, such as a sentence begins with"""
     undone: str
     """The sentence that is reported where an undo stops them"""
 
@@ -249,7 +251,7 @@ class StepsOperator(ModalOperator):
         raise NotImplementedError
 
     def finished(self, context: bpy.types.Context, result: Any) -> str | set[str] | None:
-        """Report, as `run` does."""
+        """Return what is reported of the result, or Blender's own result, as `run` does."""
         raise NotImplementedError
 
     def run(self, context):
@@ -286,8 +288,8 @@ class StepsOperator(ModalOperator):
 
 
 def named_hand(context: bpy.types.Context, name: str) -> CapturedHand:
-    """The captured hand of the armature with that name, or with an empty name the active object's. Raises
-    OptionError."""
+    """Return the captured hand of the armature with that name, or with an empty name the active object's.
+    Raises OptionError."""
     obj = bpy.data.objects.get(name) if name else context.active_object
     hand = hand_of(obj) if obj is not None else None
     if hand is None:
@@ -296,14 +298,14 @@ def named_hand(context: bpy.types.Context, name: str) -> CapturedHand:
 
 
 def polled_hand(context: bpy.types.Context) -> CapturedHand:
-    """The captured hand that the poll found."""
+    """Return the captured hand that the poll found."""
     hand = active_hand(context)
     assert hand is not None
     return hand
 
 
 def polled_character(context: bpy.types.Context) -> Any:
-    """The armature of the character that the poll found."""
+    """Return the armature of the character that the poll found."""
     return active_character(context)
 
 

@@ -192,8 +192,8 @@ class MANIENT_OT_clear_captures(InternalOperator, bpy.types.Operator):
 
 
 def why_no_capture(context: bpy.types.Context, *, alone: bool = False) -> str | None:
-    """Why no capture can begin, or none as long as another one is under way (`alone`): a sentence for a
-    tooltip."""
+    """Return why no capture can begin, or none as long as another one is under way (`alone`), a sentence for
+    a tooltip; None where one can."""
     if context.scene is None or not context.scene.is_editable:
         return LINKED_SCENE
     if alone and jobs.busy():
@@ -209,7 +209,9 @@ def new_request(
     ask_if_many: bool = False,
     bare: bool = False,
 ) -> jobs.CaptureRequest:
-    """The capture that the panel's settings describe; with `regions`, of the hands in them and no others.
+    """Return the capture that the panel's settings describe; with `regions`, of the hands in them and no
+    others.
+
     `ask_if_many` and `bare` are fields of the request. Raises HandfitError in the artist's words."""
     settings, scene = context.scene.manient, context.scene
     source = source_info.resolve(settings.source, as_sequence=settings.as_sequence)
@@ -274,7 +276,8 @@ def new_request(
 
 
 def _retimed(context: bpy.types.Context, only_frame: bool) -> float | None:
-    """The scene's rate, where it stays and the source may be retimed to it."""
+    """Return the scene's rate in frames per second, where it stays and the source may be retimed to it; else
+    None."""
     scene, settings = context.scene, context.scene.manient
     known = source_info.footage(settings, source_info.of(settings))
     kept = not only_frame and not matches(scene, settings.matching, known)
@@ -294,7 +297,7 @@ def _frames(settings, source: source_info.SourceFiles, only: int | None) -> Fram
 
 
 def _shown_frame(context: bpy.types.Context, source: source_info.SourceFiles) -> int:
-    """The source's frame at the scene's current one. Raises OptionError where it has none there."""
+    """Return the source's frame at the scene's current one. Raises OptionError where it has none there."""
     info, shown = source_info.of(context.scene.manient), source_info.shown_frame(context, source)
     if not info.has_frame(shown):
         raise OptionError(
@@ -305,7 +308,8 @@ def _shown_frame(context: bpy.types.Context, source: source_info.SourceFiles) ->
 
 
 def _second_view(settings, source: source_info.SourceFiles) -> str | None:
-    """The second view's file or folder. Raises InputError where it is not there."""
+    """Return the second view's file or folder; None where there is none. Raises InputError where it is not
+    there."""
     if not settings.second_view or source.kind not in ("video", "sequence"):
         return None
     view = source_info.resolve(settings.second_view, as_sequence=False)
@@ -313,7 +317,7 @@ def _second_view(settings, source: source_info.SourceFiles) -> str | None:
 
 
 def _full_path(chosen: str) -> str | None:
-    """The path of a file that the panel names; None where that is empty."""
+    """Return the path of a file that the panel names; None where that is empty."""
     return str(Path(bpy.path.abspath(chosen)).expanduser().absolute()) if chosen else None
 
 
@@ -329,7 +333,7 @@ def _picture_size(settings, source: source_info.SourceFiles) -> tuple[int, int] 
 
 
 def model_of(settings) -> str | None:
-    """The hand model that the settings name, as options do. Raises InputError."""
+    """Return the hand model that the settings name, as options do. Raises InputError."""
     if settings.model == "OPEN":
         return OPEN_HAND
     path = settings.model_path or preferences.get().mano_folder
@@ -339,7 +343,7 @@ def model_of(settings) -> str | None:
 
 
 def lens_of(settings, scene: bpy.types.Scene) -> Lens | tuple[float, float, float] | None:
-    """The lens that the settings name, as options do; None: it is looked for. Raises HandfitError."""
+    """Return the lens that the settings name, as options do; None: it is looked for. Raises HandfitError."""
     if settings.camera == "LENS":
         if not settings.measured_lens:
             raise OptionError("choose the measured lens, or measure one, or choose another camera setting")

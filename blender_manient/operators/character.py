@@ -29,10 +29,10 @@ from ..session.properties import SIDE_ITEMS
 from .base import CharacterOperator, StepsOperator, polled_character, select_alone, show_frame_again
 
 _OPPOSITE = 0.02
-"""How far from the mirror image of a bone's ends those of the opposite one lie at most, as a share of its
+"""The distance of a bone's ends from the mirror image of the opposite bone's, at most, as a share of their
 distance from the middle"""
 _LENGTH = 0.5
-"""of an offset's arrows, as a share of the hand's own bone"""
+"""The length of an offset's arrows, as a share of the hand's own bone"""
 
 
 class MANIENT_OT_apply_to_character(StepsOperator, CharacterOperator, bpy.types.Operator):
@@ -242,7 +242,7 @@ class MANIENT_OT_mark_frame(CharacterOperator, bpy.types.Operator):
 
 
 def _shown_tables(armature: bpy.types.Object) -> list[HandMap]:
-    """The tables of an armature's hands, of bones that are there. Raises HandModelError for none."""
+    """Return the tables of an armature's hands, of bones that are there. Raises HandModelError for none."""
     tables = [table for side in SIDES if (table := table_of(armature, side)).mapped]
     if not tables:
         raise HandModelError("neither hand has a bone yet: choose some in the table first")
@@ -256,8 +256,8 @@ def _hands(tables: Sequence[HandMap]) -> str:
 
 
 def opposite(armature: bpy.types.Object, hand_map: HandMap) -> HandMap:
-    """The table of the other hand: of the bones that lie where a mirror at x = 0 shows those of this one, the
-    ones whose names are the most alike. Raises HandModelError where a bone has none."""
+    """Return the table of the other hand: of the bones that lie where a mirror at x = 0 shows those of this
+    one, the ones whose names are the most alike. Raises HandModelError where a bone has none."""
     bones = armature.data.bones
     hand_map.check(bones)
 
@@ -311,8 +311,8 @@ class MANIENT_OT_add_hand_offset(CharacterOperator, bpy.types.Operator):
 
 
 def _handle(armature: bpy.types.Object, bone: str, side: str) -> bpy.types.Object:
-    """An empty that begins where a bone is shown, and whose location counts from there in the armature's
-    space."""
+    """Return an empty that begins where a bone is shown, and whose location counts from there in the
+    armature's space."""
     shown = armature.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones[bone]
     handle = bpy.data.objects.new(f"{armature.name} {side} hand offset", None)
     handle.empty_display_type = "ARROWS"

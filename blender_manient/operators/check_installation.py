@@ -17,8 +17,8 @@ from .base import InternalOperator, StepsOperator
 TEXT_NAME = "Hand Capture Check"
 WHOLE = "Everything works"
 _OTHER_REMEDIES = "try again", "restart Blender"
-"""Advice in errors of a process that was killed or slow, and of an update, which a new installation does not
-mend"""
+"""Advice in errors of a process that was killed or slow, and of an update; a new installation does not mend
+these"""
 
 
 class MANIENT_OT_check_installation(StepsOperator, bpy.types.Operator):

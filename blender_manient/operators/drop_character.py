@@ -47,6 +47,6 @@ class MANIENT_FH_character(bpy.types.FileHandler):
 
     @classmethod
     def poll_drop(cls, context):
-        """Only where characters can appear, and where there is a hand to follow."""
+        """True where characters can appear, and where there is a hand to follow."""
         in_view = context.area is not None and context.area.type == "VIEW_3D"
         return in_view and bool(captured_hands(context.scene))

@@ -151,7 +151,8 @@ class MANIENT_OT_move_keypoint(ManientOperator, bpy.types.Operator):
 
     @classmethod
     def poll_reason(cls, context):
-        """Anything that can be refined at all; `execute` checks the hand it is given."""
+        """Return why the active hand cannot be refined, a sentence; None where it can, and without one, since
+        `run` checks the hand that it is given."""
         hand = active_hand(context)
         return why_not(context, hand) if hand is not None else None
 

@@ -26,7 +26,8 @@ _OF_HANDS = "holds captured hands, no characters"
 
 
 def _why_no_format(exporter: Exporter, *, character: bool) -> str:
-    """Why a format cannot be written of a hand or a character, as part of a sentence; empty if it can."""
+    """Return why a format cannot be written of a hand or a character, as part of a sentence; empty if it
+    can."""
     return _OF_HANDS if character and exporter.writes == "captured" else exporter.why_not()
 
 
@@ -37,8 +38,8 @@ def format_buttons(
     *,
     character: bool = False,
 ) -> bool:
-    """A button for every format of the property `name` of `data`; those that cannot be written are grey, and
-    the reason stands below. Returns whether the chosen one can be written."""
+    """Draw a button for every format of the property `name` of `data`; those that cannot be written are grey,
+    and the reason stands below. Return whether the chosen one can be written."""
     reasons: dict[str, list[str]] = {}
     column = layout.column(align=True)
     for start in range(0, len(EXPORT_FORMATS), 3):
@@ -56,7 +57,7 @@ def format_buttons(
 
 
 class _ExportOperator(ManientOperator):
-    """The base of operators that ask for a file and write it; of what, each of them says."""
+    """The base of operators that ask for a file and write hands, or a character, to it."""
 
     bl_options = {"REGISTER"}
 
@@ -74,18 +75,18 @@ class _ExportOperator(ManientOperator):
     )
     file_format: Any
     character: bool
-    """True if it writes characters, and not captured hands"""
+    """True if the operator writes characters, and not captured hands"""
 
     def _title(self, context: bpy.types.Context) -> str:
-        """The file's name where nobody gives one."""
+        """Return the file's name where nobody gives one."""
         raise NotImplementedError
 
     def _chosen(self, context: bpy.types.Context) -> Sequence[HandObjects]:
-        """The hands, or the character, that are written. Raises HandfitError."""
+        """Return the hands, or the character, that are written. Raises HandfitError."""
         raise NotImplementedError
 
     def _keyed(self, chosen: Sequence[HandObjects]) -> list[float]:
-        """The frames that have keys."""
+        """Return the scene frames on which they have keys."""
         raise NotImplementedError
 
     def invoke(self, context, _event):
@@ -100,7 +101,7 @@ class _ExportOperator(ManientOperator):
         return {"RUNNING_MODAL"}
 
     def check(self, _context):
-        """Keep the extension that of the format."""
+        """Keep the file's extension that of the format."""
         self.filter_glob = f"*{Path('name' + self._exporter.suffix).suffix}"
         path = self._path()
         if str(path) == self.filepath:
@@ -137,11 +138,12 @@ class _ExportOperator(ManientOperator):
         return f"Wrote {', '.join(f.name for f in files)} to {path.parent}{more}"
 
     def _left_out(self, _chosen: Sequence[HandObjects]) -> str:
-        """A sentence for the report about objects that are not in the file; empty without any."""
+        """Return a sentence for the report about objects that are not in the file; empty without any."""
         return ""
 
     def _cut_off(self, scene: bpy.types.Scene, chosen: Sequence[HandObjects]) -> str:
-        """A sentence for the report about keys before or after the frames in the file; empty without any."""
+        """Return a sentence for the report about keys before or after the frames in the file; empty without
+        any."""
         if self.frame_range != "SCENE" or self._exporter.writes != "hands":
             return ""
         frames, last = self._keyed(chosen), scene.frame_end
@@ -167,7 +169,7 @@ class _ExportOperator(ManientOperator):
         return EXPORTERS[self.file_format]
 
     def _path(self) -> Path:
-        """The file with the right extension instead of another format's."""
+        """Return the path of the file, with the right extension instead of another format's."""
         path = Path(bpy.path.abspath(self.filepath))
         wanted, name = self._exporter, path.name
         for e in EXPORTERS.values():

@@ -18,7 +18,7 @@ from .modes import find_hands as mode
 from .modes import view
 
 _PASS_THROUGH_KEYS = {"N", "T", *(f"F{n}" for n in range(1, 13))}
-"""Keys that do what they do elsewhere"""
+"""The keys that pass through the mode and do what they do elsewhere"""
 
 
 class MANIENT_OT_find_hands(ModeOperator, bpy.types.Operator):
@@ -136,7 +136,7 @@ class MANIENT_OT_find_hands(ModeOperator, bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def _do(self, context, session, todo):
-        """What a button or a key asks for; a hand is added to the picture of the chosen ones, if there are
+        """Do what a button or a key asks for; a hand is added to the picture of the chosen ones, if there are
         any."""
         chosen = bool(session.choice.chosen)
         if todo in ("capture", "add") and session.busy:
@@ -192,7 +192,7 @@ def capture_chosen(context: bpy.types.Context, *, then_add_hand: bool = False) -
 
 
 def chosen_source(context: bpy.types.Context) -> mode.Source:
-    """The source of the panel's settings, at the frame that the scene shows. Raises HandfitError."""
+    """Return the source of the panel's settings, at the frame that the scene shows. Raises HandfitError."""
     settings, request = context.scene.manient, new_request(context, only_frame=False)
     info = source_info.of(settings)
     assert info.files is not None
@@ -203,7 +203,8 @@ def chosen_source(context: bpy.types.Context) -> mode.Source:
 
 
 def _frame(current: int, options: CaptureOptions, info: source_info.SourceInfo) -> int:
-    """The used frame of the source that is shown at its frame `current`; the first beyond its ends."""
+    """Return the used frame of the source that is nearest to its frame `current`; the first one where
+    `current` lies before or after all of them."""
     wanted = options.frames or FrameRange()
     # Until the worker has counted a video's frames, the scene's is believed to be among them.
     used = wanted.within(info.first, info.last if info.frames else max(info.first, current))

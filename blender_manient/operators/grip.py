@@ -30,7 +30,7 @@ from .base import polled_hand
 from .refit_range import RangeFit, RangeFitOperator
 
 _RIGID = 1e-5
-"""How far a matrix may be from a rotation"""
+"""Largest difference of a matrix's numbers from those of a rotation that still counts as one"""
 _MOVED = 1e-6
 """Largest difference of a quaternion's or a place's numbers that counts as no change"""
 _STILL = 1e-4
@@ -66,10 +66,10 @@ class MANIENT_OT_grip(RangeFitOperator, bpy.types.Operator):
     )
 
     _ticked_for: bpy.types.Object | None = None
-    """The object whose near fingers were ticked"""
+    """The object for which the fingers near to it were ticked; None before"""
 
     def suggest(self, context):
-        """The selected mesh beside the hand, and the frames that Re-fit Range suggests."""
+        """Suggest the selected mesh beside the hand, and the frames that Re-fit Range suggests."""
         super().suggest(context)
         own, settings = polled_hand(context), context.scene.manient
         others = [o for o in context.selected_objects if o.type == "MESH" and o not in own.meshes]
@@ -77,7 +77,7 @@ class MANIENT_OT_grip(RangeFitOperator, bpy.types.Operator):
         self.check(context)
 
     def check(self, context):
-        """Tick the fingers that are near another object."""
+        """Tick the fingers that are near the object, once another object is chosen."""
         prop = context.scene.manient.grip_prop
         self.prop = prop.name if prop is not None else ""
         if prop != self._ticked_for:
@@ -107,7 +107,8 @@ class MANIENT_OT_grip(RangeFitOperator, bpy.types.Operator):
 
 
 def _near(hand: CapturedHand, prop: bpy.types.Object | None) -> list[bool]:
-    """Which fingers are near an object as it is shown; all where none is, or where it has no faces."""
+    """Tell which fingers are near an object's surface as it is shown; all of them where no finger is near, or
+    there is no such surface."""
     armature = hand.armature
     shown = prop and prop.evaluated_get(bpy.context.evaluated_depsgraph_get())
     if not shown or shown.type != "MESH" or not shown.data.polygons or not shown.matrix_world.determinant():
@@ -123,7 +124,7 @@ def _near(hand: CapturedHand, prop: bpy.types.Object | None) -> list[bool]:
 
 
 def _prop_named(context: bpy.types.Context, name: str, *, rides: bool) -> bpy.types.Object:
-    """The object that the hand may hold. Raises OptionError."""
+    """Return the object of that name that the hand may hold. Raises OptionError."""
     prop, hand = context.scene.objects.get(name), polled_hand(context)
     if prop is None:
         raise OptionError("choose an object of this scene for the hand to hold")
@@ -139,7 +140,7 @@ def _prop_named(context: bpy.types.Context, name: str, *, rides: bool) -> bpy.ty
 
 
 class _GripFit(RangeFit):
-    """The frames of a range, whose fingers are laid on an object."""
+    """The work of laying fingers on an object in the frames of a range."""
 
     def __init__(self, operator: MANIENT_OT_grip, context: bpy.types.Context) -> None:
         super().__init__(operator, context)
@@ -165,7 +166,8 @@ class _GripFit(RangeFit):
     def _held(
         self, context: bpy.types.Context, prop: bpy.types.Object, fingers: np.ndarray
     ) -> Iterator[tuple[np.ndarray, Prop]]:
-        """Frames in which the object only moves, by their indices, and what it is in them."""
+        """Yield groups of frames in which the object keeps its shape and size: their indices, and the object
+        as it is turned and moved in them."""
         scene, armature = context.scene, self.refiner.armature
         frame, subframe = scene.frame_current, scene.frame_subframe
         rest = self.refiner.hand.rig.rest
@@ -200,7 +202,7 @@ class _GripFit(RangeFit):
             first = at
 
     def _hand_now(self, graph: bpy.types.Depsgraph) -> Matrix:
-        """Where the hand is in the world."""
+        """Return the matrix of the wrist's bone in the world, as it is shown."""
         shown = self.refiner.armature.evaluated_get(graph)
         return shown.matrix_world @ shown.pose.bones[self.refiner.hand.rig.bones[0]].matrix
 
@@ -263,7 +265,7 @@ class _GripFit(RangeFit):
         scene.frame_set(now[0], subframe=now[1])
 
     def _hung(self, prop: bpy.types.Object, first: float, last: float) -> bpy.types.Constraint:
-        """A new constraint by which the prop follows the hand from the first frame to the last."""
+        """Return a new constraint by which the prop follows the hand from the first frame to the last."""
         child = prop.constraints.new("CHILD_OF")
         child.name = f"Held by {self.refiner.armature.name}"
         child.target, child.subtarget = self.refiner.armature, self.refiner.hand.rig.bones[0]
@@ -274,13 +276,13 @@ class _GripFit(RangeFit):
 
 
 def _rides_by(prop: bpy.types.Object, armature: bpy.types.Object) -> Any:
-    """The constraint by which a prop follows a hand in the scene's frame; None without one."""
+    """Return the constraint by which a prop follows a hand in the scene's frame; None without one."""
     held = (c for c in prop.constraints if c.type == "CHILD_OF" and c.target == armature)
     return next((c for c in held if c.influence > 0.0 and not c.mute), None)
 
 
 def _faces(shown: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) and triangles (F, 3) of an evaluated object, in its own units."""
+    """Return the vertices (V, 3) and triangles (F, 3) of an evaluated object, in its own units."""
     mesh = shown.to_mesh()
     vertices, triangles = np.empty((0, 3), dtype=np.float32), np.empty((0, 3), dtype=np.int32)
     if mesh is not None:
@@ -296,8 +298,9 @@ def _faces(shown: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
 def _rigid_parts(
     vertices: np.ndarray, places: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Frames between which places (N, 3, 4) turn and move vertices (V, 3), but do not scale them: their
-    indices, the vertices in metres, and (N, 3, 4) how these are turned and moved."""
+    """Split frames into groups in which the object is turned and moved but not scaled.
+
+    Yields each group's frame indices, the vertices (V, 3) in metres, and (N, 3, 4) its turns and places."""
     left = np.arange(len(places))
     while len(left):
         linear, at = places[left, :, :3], places[left, :, 3]

@@ -235,7 +235,7 @@ class _ControlsOperator(HandOperator):
     """The base of operators after which the armature has other bones."""
 
     has_controls: bool
-    """True if they are for hands with controls"""
+    """True if the operator is for hands that have controls, and not for those without"""
 
     @staticmethod
     def why_not(armature):

@@ -18,7 +18,7 @@ from .base import InternalOperator
 
 @dataclass(frozen=True)
 class SideResult:
-    """The result of a check of one side's model file."""
+    """The result of a check of one side's MANO file."""
 
     side: Side
     ok: bool
@@ -29,12 +29,13 @@ _results: dict[str, tuple[SideResult, ...]] = {}
 
 
 def results(path: str) -> tuple[SideResult, ...]:
-    """What the last check of this file or folder found; empty where it was not checked. For drawing."""
+    """Return what the last check of this file or folder found; empty where it was not checked. For
+    drawing."""
     return _results.get(path, ())
 
 
 def check(path: str) -> tuple[SideResult, ...]:
-    """Load both sides of a MANO file or folder and keep what came of it."""
+    """Load both sides of a MANO file or folder; return, and keep, what came of each."""
     _results.clear()
     _results[path] = tuple(_check_side(path, side) for side in SIDES)
     return _results[path]
@@ -81,7 +82,7 @@ class MANIENT_OT_note(InternalOperator, bpy.types.Operator):
         return properties.text.removesuffix(".")
 
     def run(self, context):
-        """Report it, since reports can be copied."""
+        """Report the message, since reports can be copied."""
         return self.text
 
 
@@ -128,7 +129,7 @@ class _TextOperator(InternalOperator):
     text: bpy.props.StringProperty(name="Text", default=details.TEXT_NAME, options={"HIDDEN", "SKIP_SAVE"})
 
     def show(self, context: bpy.types.Context, text: bpy.types.Text) -> str | None:
-        """Hand the text over; returns what is reported."""
+        """Hand the text over; return what is reported of that."""
         raise NotImplementedError
 
     def run(self, context):
@@ -175,5 +176,5 @@ class MANIENT_OT_show_details(_TextOperator, bpy.types.Operator):
 
 
 def unregister() -> None:
-    """Forget what was found."""
+    """Forget what the checks of MANO files found."""
     _results.clear()

@@ -30,7 +30,7 @@ class _KeysOperator(ManientOperator):
 
 
 def armature_of(context: bpy.types.Context) -> bpy.types.Object | None:
-    """Whose keys these operators change."""
+    """Return the armature whose keys these operators change; None where there is none."""
     hands = hands_to_simplify(context)
     return hands[0].rig.armature if hands else None
 

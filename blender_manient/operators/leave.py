@@ -11,7 +11,7 @@ from .find_hands import MANIENT_OT_find_hands
 from .refit_range import RangeFitOperator
 
 _LEAVE = {"FIND": MANIENT_OT_find_hands.leave, "ADD": MANIENT_OT_add_hand.leave, "FIT": RangeFitOperator.stop}
-"""Ends each; its operator finds out with its next event"""
+"""By the mode, the function that ends it; its operator finds out with its next event"""
 
 
 class MANIENT_OT_leave(InternalOperator, bpy.types.Operator):

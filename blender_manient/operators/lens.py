@@ -64,7 +64,7 @@ class MANIENT_OT_measure_lens(StepsOperator, SceneOperator, bpy.types.Operator, 
         return ImportHelper.invoke(self, context, event)
 
     def draw(self, context):
-        """The name beside the file browser, and how to film."""
+        """Draw the name beside the file browser, and how to film."""
         self.layout.prop(self, "lens")
         sentence(self.layout, context, ADVICE, "INFO")
 

@@ -21,7 +21,7 @@ from .capture import lens_of, model_of
 from .modes.view import FrontView, first_viewport
 
 _REDRAW_EVERY = 0.1
-"""seconds from one drawing of the panel to the next: its numbers are read, not watched"""
+"""Seconds from one drawing of the panel to the next: its numbers are read, not watched"""
 
 
 class MANIENT_OT_live(ModalOperator, SceneOperator, bpy.types.Operator):
@@ -47,7 +47,7 @@ class MANIENT_OT_live(ModalOperator, SceneOperator, bpy.types.Operator):
             self._view = FrontView(viewport, context.scene)
 
     def follow(self, context, event):
-        """Go on; Space records, Esc ends."""
+        """Handle an event: Space records, Esc ends."""
         session = self._session
         if event.value == "PRESS" and event.type == "ESC":
             session.stop()
@@ -151,7 +151,7 @@ class MANIENT_OT_live_throw_away(ManientOperator, bpy.types.Operator):
 
 
 def start(context: bpy.types.Context) -> live.LiveSession:
-    """Begin as the panel's settings say. Raises HandfitError."""
+    """Start a live session as the panel's settings say, and return it. Raises HandfitError."""
     settings = context.scene.manient
     wanted = settings.live
     sides: list[Side] = [side for side in SIDES if getattr(wanted, side).use]

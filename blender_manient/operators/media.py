@@ -23,7 +23,7 @@ from .base import ManientOperator, SceneOperator
 from .capture import new_request
 
 _WIDTH = 340
-"""pixels of the dialog, at a user interface scale of 1"""
+"""The width of the dialog in pixels, at a user interface scale of 1"""
 
 
 class MANIENT_OT_import_take(SceneOperator, bpy.types.Operator, ImportHelper):
@@ -48,14 +48,14 @@ class MANIENT_OT_import_take(SceneOperator, bpy.types.Operator, ImportHelper):
     )
 
     def invoke(self, context, event):
-        """Begin with what the sidebar has."""
+        """Begin with the choices that the sidebar has."""
         for name in ("matching", "render_setup"):
             if not self.properties.is_property_set(name):
                 setattr(self, name, getattr(context.scene.manient, name))
         return super().invoke(context, event)
 
     def draw(self, context):
-        """The choices beside the file browser, and what they mean for this scene."""
+        """Draw the choices beside the file browser, and what they mean for this scene."""
         layout, scene = self.layout, context.scene
         props(layout, self, "pose_correctives", "picture", "render_setup", "matching")
         # After the import the scene is another one, which the choice is not about.
@@ -106,7 +106,7 @@ class MANIENT_OT_drop_media(ManientOperator, bpy.types.Operator):
     )
 
     _footage: Footage | None = None
-    """The rate and size of the first file, as far as they are known before it is captured"""
+    """The rate and size of the first file, as far as they are known before it is captured; else None"""
 
     def invoke(self, context, _event):
         """Ask before anything starts: a drop may be meant for something else."""
@@ -117,7 +117,7 @@ class MANIENT_OT_drop_media(ManientOperator, bpy.types.Operator):
         )
 
     def draw(self, context):
-        """What was dropped, and which hands are wanted."""
+        """Draw what was dropped, and the choice of the hands that are wanted."""
         layout = self.layout
         paths = self._paths()
         icon = "FILE_MOVIE" if paths[0].suffix.lower() in VIDEO_SUFFIXES else "FILE_IMAGE"
@@ -171,7 +171,7 @@ class MANIENT_FH_media(bpy.types.FileHandler):
 
     @classmethod
     def poll_drop(cls, context):
-        """Only where hands can appear, and where the user wants it."""
+        """True where hands can appear, and where the user wants it."""
         return context.area is not None and context.area.type == "VIEW_3D" and preferences.get().drop_captures
 
 
@@ -182,7 +182,7 @@ class MANIENT_FH_take(bpy.types.FileHandler):
 
     @classmethod
     def poll_drop(cls, context):
-        """Only where hands can appear."""
+        """True where hands can appear."""
         return context.area is not None and context.area.type == "VIEW_3D"
 
 

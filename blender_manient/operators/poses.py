@@ -84,7 +84,7 @@ class MANIENT_OT_apply_pose(_PoseOperator, bpy.types.Operator):
 
     @classmethod
     def description(cls, _context, properties):
-        """The tooltip: what is put, and on which frames."""
+        """Return the tooltip: which pose is put, and on which frames."""
         kind = properties.bl_rna.properties
         source, scope = (
             kind[name].enum_items[getattr(properties, name)].description for name in ("source", "scope")

@@ -25,7 +25,7 @@ from .base import ModalState, StepsOperator, polled_hand, show_frame_again
 _WIDTH = 360
 """pixels of the dialog, at a user interface scale of 1"""
 _MARGIN = 0.5
-"""seconds before and after the range that are fitted too, so that motion leads smoothly into it, but not
+"""Seconds before and after the range that are fitted too, so that motion leads smoothly into it, but not
 written"""
 
 
@@ -33,13 +33,14 @@ class RangeFit:
     """The frames of a range on their way through the worker."""
 
     requests: list[tuple[int, Callable[[], dict[str, Any]]]]
-    """Numbers of frames, and what makes the fields of the requests for them"""
+    """For each request to the worker, the number of its frames and a function that makes its fields"""
     poses: BonePoses
     fitted: int
     """The poses that are written, and the number of their frames"""
 
     def __init__(self, operator: RangeFitOperator, context: bpy.types.Context) -> None:
-        """Raises HandfitError where nothing can be fitted."""
+        """Prepare the range's frames and poses for the worker. Raises HandfitError where nothing can be
+        fitted."""
         self.refiner = Refiner(polled_hand(context).armature)
         self.rows = operator.rows(context, self.refiner)
         self.count = len(self.rows)
@@ -88,7 +89,8 @@ class RangeFitOperator(StepsOperator):
 
     @classmethod
     def fitting(cls) -> tuple[str, ModalState] | None:
-        """The operator by which a range is being fitted, and its work; None where none is."""
+        """Return the name and the `ModalState` of the operator that is re-fitting a range now; None where
+        there is none."""
         names = [each.bl_idname for each in RangeFitOperator.__subclasses__()]
         return next(((name, cls.running[name]) for name in names if name in cls.running), None)
 
@@ -107,23 +109,23 @@ class RangeFitOperator(StepsOperator):
         return why_not(context, active_hand(context))
 
     def make_fit(self, context: bpy.types.Context) -> RangeFit:
-        """The frames that are to be fitted. Raises HandfitError."""
+        """Return the work on the frames that are to be fitted. Raises HandfitError."""
         raise NotImplementedError
 
     def suggest(self, context: bpy.types.Context) -> None:
-        """Set the range that is likely meant. Raises HandfitError."""
+        """Set the properties to the range that is likely meant. Raises HandfitError."""
         self.first, self.last = suggested_range(context)
 
     def summary(self, context: bpy.types.Context) -> tuple[str, bool]:
-        """A sentence about what would be done, and whether it is a warning. Raises HandfitError where nothing
-        would be."""
+        """Return a sentence about what would be done, and whether it is a warning. Raises HandfitError where
+        nothing would be done."""
         raise NotImplementedError
 
     def draw_properties(self):
         """Draw the properties beside the range."""
 
     def check(self, _context):
-        """Say anew what would be done whenever something changes."""
+        """Compute the dialog's summary anew whenever a property changes."""
         self._summary = None
         return True
 
@@ -188,11 +190,11 @@ class RangeFitOperator(StepsOperator):
         return self._done(text, kind=kind)
 
     def report_text(self, fit: Any) -> tuple[str, str]:
-        """The kind and the text of the report at the end."""
+        """Return the kind and the text of the report at the end."""
         return "INFO", f"{counted(fit.fitted, 'frame')} fitted again"
 
     def rows(self, context: bpy.types.Context, refiner: Refiner) -> np.ndarray:
-        """The take's rows in the range. Raises OptionError where there are none."""
+        """Return the take's rows in the range, as indices. Raises OptionError where there are none."""
         frames = refiner.scene_frames()
         first, last = frames[0], frames[-1]
         if self.scope == "CUSTOM":
@@ -224,12 +226,13 @@ class MANIENT_OT_refit_range(RangeFitOperator, bpy.types.Operator):
 
 
 def suggested_range(context: bpy.types.Context) -> tuple[int, int]:
-    """First and last scene frame that are likely meant on the active hand. Raises HandfitError."""
+    """Return the first and last scene frame that are likely meant on the active hand. Raises HandfitError."""
     return spans.suggested_range(context.scene, active_hand(context))
 
 
 def replaced(context: bpy.types.Context, first: int, last: int) -> tuple[str, bool]:
-    """What fitting these scene frames again would replace, in words, and whether it is the artist's work."""
+    """Return what fitting these scene frames again would replace, in words, and whether it is the artist's
+    work."""
     hand = active_hand(context)
     assert hand is not None
     rows = rows_within(scene_frames(hand.collection, hand.take), first, last)
@@ -258,7 +261,8 @@ def replaced(context: bpy.types.Context, first: int, last: int) -> tuple[str, bo
 
 
 def rows_within(frames: np.ndarray, first: float, last: float) -> np.ndarray:
-    """The rows of a take whose scene frames (T,) lie from first to last."""
+    """Return the rows of a take, as indices, whose scene frames (T,) lie from `first` to `last`, both
+    included."""
     return np.flatnonzero((frames >= first - 0.5) & (frames <= last + 0.5))
 
 
@@ -276,7 +280,8 @@ class MotionFit(RangeFit):
         self.requests = [(len(self.rows), self.request(smoothing))]
 
     def request(self, smoothing: float) -> Callable[[], dict[str, Any]]:
-        """The request's fields: what they start from, and the strength of smoothing."""
+        """Return a function that makes the request's fields: the poses to start from, and the strength of
+        smoothing."""
         field, rows = corrections_of(self.refiner.armature), self.rows.tolist()
         pins = [field.pins(self.refiner.source_frame(row)) for row in rows]
         poses = self.refiner.keyed_poses(rows)

@@ -152,7 +152,7 @@ class MANIENT_OT_jump_worst(_NamedHandOperator, bpy.types.Operator):
 
     @classmethod
     def description(cls, context, properties):
-        """The tooltip with the hand's figures."""
+        """Return the tooltip with the hand's figures."""
         try:
             hand = named_hand(context, properties.hand)
         except OptionError:

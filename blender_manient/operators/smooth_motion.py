@@ -18,12 +18,13 @@ from .base import polled_hand
 from .refit_range import MotionFit, RangeFitOperator
 
 _QUIET_SECONDS = 0.3
-"""seconds for which the slider rests before the motion is smoothed"""
+"""Seconds for which the slider rests before the motion is smoothed"""
 _RETRY_SECONDS = 0.1
-"""seconds after which is looked again whether another fit is over"""
+"""Seconds after which is looked again whether another fit is over"""
 
 _wanted: tuple[int, float] | None = None
-"""The hand, by its armature's session_uid, and what its slider was moved to and its keys do not have yet"""
+"""The session_uid of a hand's armature, and the strength to which its slider was moved and that its keys do
+not have yet; None for none"""
 
 
 class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
@@ -48,14 +49,14 @@ class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
         return _SmoothFit(self, context)
 
     def suggest(self, context):
-        """All frames, or the preview range."""
+        """Set the range to the preview range, or else to all frames."""
         refiner = Refiner(polled_hand(context).armature)
         places = refiner.scene_frames()[self.rows(context, refiner)]
         self.first, self.last = int(np.ceil(places[0])), int(places[-1])
         self.strength = self.wanted_strength(context)
 
     def wanted_strength(self, context: bpy.types.Context) -> float:
-        """The strength that was asked for, else the one that the keys have."""
+        """Return the strength of smoothing that was asked for, else the one that the keys have."""
         if self.properties.is_property_set("strength"):
             return self.strength
         return smoothing_of(context.scene, polled_hand(context).armature)
@@ -64,7 +65,7 @@ class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
         self.layout.prop(self, "strength", slider=True)
 
     def summary(self, context):
-        """How many frames would be smoothed."""
+        """Return a sentence about how many frames would be smoothed, and whether it is a warning."""
         count = len(self.rows(context, Refiner(polled_hand(context).armature)))
         return f"Smooths {counted(count, 'frame')}; what you corrected or keyed stays", False
 
@@ -92,7 +93,8 @@ class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
 
 
 class _SmoothFit(MotionFit):
-    """The motion of a range, fitted anew to the capture's keypoints with another strength of smoothing."""
+    """The work of fitting the motion of a range anew to the capture's keypoints, with another strength of
+    smoothing."""
 
     def __init__(self, operator: MANIENT_OT_smooth_motion, context: bpy.types.Context) -> None:
         self._strength = operator.wanted_strength(context)
@@ -126,7 +128,7 @@ class _SmoothFit(MotionFit):
 
 
 def _shown(_owner: Any) -> float:
-    """The slider's value: where it was moved to, else how smooth the active hand's keys are."""
+    """Return the slider's value: where it was moved to, else how smooth the active hand's keys are."""
     hand = active_hand(bpy.context)
     if hand is None:
         return 1.0
@@ -136,7 +138,7 @@ def _shown(_owner: Any) -> float:
 
 
 def _moved(_owner: Any, value: float) -> None:
-    """The slider was moved: once it rests, the motion follows."""
+    """Remember where the slider was moved to: once it rests, the motion follows."""
     global _wanted
     hand = active_hand(bpy.context)
     if hand is None:
@@ -148,7 +150,7 @@ def _moved(_owner: Any, value: float) -> None:
 
 
 def _forget(*_: Any) -> None:
-    """Another file is open: its keys are as smooth as they are."""
+    """Forget where the slider was moved to: another file is open."""
     global _wanted
     _wanted = None
 
@@ -157,7 +159,8 @@ HANDLERS = {"load_post": _forget}
 
 
 def _smooth() -> float | None:
-    """Blender's timer: smooth as the slider says, in the first window, once no other fit runs."""
+    """Smooth as the slider says, in the first window, once no other fit runs; Blender's timer calls this.
+    Return the seconds until the next call, or None."""
     global _wanted
     if _wanted is None:
         return None

@@ -20,12 +20,12 @@ from .base import polled_hand
 from .refit_range import RangeFit, RangeFitOperator, rows_within, suggested_range
 
 _MAX_TOUCH_GAP = 0.001
-"""metres between skins that touch"""
+"""Metres between skins that count as touching, at most"""
 _MAX_EXTRA_GAP = 0.005
-"""metres: frames around the present one in which the points are no farther apart than here and so much are
+"""Metres by which two points may be farther apart than on the present frame, in the frames around it that are
 suggested"""
 _SEARCH_SECONDS = 2.0
-"""seconds before and after that are looked at for these"""
+"""Seconds before and after the present frame in which such frames are looked for"""
 _POINTS = [(str(point), name, f"The {name.lower()}") for point, name in enumerate(POINT_NAMES)]
 
 
@@ -41,10 +41,11 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
     other: bpy.props.EnumProperty(name="Touches", items=_POINTS, default="8")
 
     _suggested: tuple[str, str] | None = None
-    """The points that the range was suggested for"""
+    """The two points that the range was suggested for; None before"""
 
     def suggest(self, context):
-        """The frames in which these points are nearly together; else those that Re-fit Range suggests."""
+        """Suggest the frames in which these points are nearly together; else those that Re-fit Range
+        suggests."""
         self._suggested = self.point, self.other
         self.first, self.last = touching_range(context, int(self.point), int(self.other))
 
@@ -60,7 +61,7 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
         row.prop(self, "other", text="")
 
     def summary(self, context):
-        """How far apart the points are."""
+        """Return a sentence about how far apart the points are, and whether it is a warning."""
         gaps = _TouchFit(self, context).gaps
         if np.isnan(gaps).all():
             return "There is no hand in these frames", True
@@ -82,13 +83,15 @@ class MANIENT_OT_press_together(RangeFitOperator, bpy.types.Operator):
     progress_text = "Pressing together"
 
     def suggest(self, context):
-        """The frames around the present one in which something lies over each other."""
+        """Suggest the frames around the present one in which fingers lie over each other, or over the
+        palm."""
         refiner, near = _refiner_near(context)
         touches = refiner.lying_over(refiner.keyed_poses(near.rows))
         self.first, self.last = near.around(np.array([not of_row for of_row in touches]), context)
 
     def summary(self, context):
-        """What would be pressed together, and how far apart it is."""
+        """Return a sentence about what would be pressed together and how far apart it is, and whether it is a
+        warning."""
         fit = _PressFit(self, context)
         return f"{counted(fit.count, 'frame')}. {_far_apart(fit.gaps, fit.names)} apart there", False
 
@@ -141,14 +144,14 @@ def touching_range(context: bpy.types.Context, point: int, other: int) -> tuple[
 
 
 def _far_apart(gaps: np.ndarray, what: str) -> str:
-    """How far apart these parts are, as gaps (N,) in metres have it, in words."""
+    """Return how far apart these parts are, as gaps (N,) in metres have it, in words."""
     ends = 1000 * np.maximum([np.nanmin(gaps), np.nanmax(gaps)], 0.0)
     far = " to ".join(dict.fromkeys(f"{millimetres:.0f}" for millimetres in ends))
     return f"{what} are {far} mm"
 
 
 def _touch_report(fit: _TouchFit, names: str) -> tuple[str, str]:
-    """The kind and the text of the report of a fit in which these parts were to touch."""
+    """Return the kind and the text of the report of a fit in which these parts were to touch."""
     apart = np.flatnonzero(~(np.abs(fit.gaps) <= _MAX_TOUCH_GAP))
     if not len(apart):
         return "INFO", f"{names} touch in {counted(fit.fitted, 'frame')}"
@@ -178,7 +181,7 @@ class _TouchFit(RangeFit):
         self.requests = [(len(rows), refiner.request(rows, pins, start, touches=self._touches))]
 
     def new_touches(self, operator: Any) -> list[Touches]:
-        """What is to touch in each frame of the range; those without anything are left out. Raises
+        """Return the touches that each frame of the range is to have; frames without any are left out. Raises
         OptionError."""
         self.pair = touching_pair(int(operator.point), int(operator.other))
         return [dict([self.pair])] * self.count

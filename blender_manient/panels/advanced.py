@@ -14,7 +14,7 @@ from ..session import shared_worker, source_info
 from .capture import has_scene_camera
 
 _FRAME = 8.0
-"""height of a frame's picture, in buttons"""
+"""The height of a frame's picture, in heights of a button"""
 
 
 class MANIENT_PT_advanced(Section, bpy.types.Panel):

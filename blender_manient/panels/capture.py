@@ -17,9 +17,9 @@ from ..session import jobs, source_info
 _ICONS = {"waiting": "SORTTIME", "done": "CHECKMARK", "failed": "ERROR", "cancelled": "CANCEL"}
 _OFFERS = {"find_hands": "Another hand is likely", "add_hand": "A hand was not found"}
 _ROWS = 5
-"""of the list that are seen at once"""
+"""How many rows of the list are seen at once"""
 _NAME = 16
-"""letters of a source's name before what came of it"""
+"""How many letters of a source's name stand before what came of it"""
 
 
 class MANIENT_UL_captures(bpy.types.UIList):
@@ -35,7 +35,7 @@ class MANIENT_UL_captures(bpy.types.UIList):
         return [flag if item.session_uid in here else 0 for flag, item in zip(flags, items, strict=True)], []
 
     def draw_item(self, context, layout, _data, item, _icon, _active_data, _active_property, _index):
-        """The capture's name, its hands and how good they are."""
+        """Draw the capture's name, its hands and how good they are."""
         shown = captures.is_shown(item, context.view_layer)
         parts = layout.split(factor=0.5)
         parts.prop(item, "name", text="", emboss=False, icon="HIDE_OFF" if shown else "HIDE_ON")
@@ -104,7 +104,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             part.prop(settings, "last_frame", text="")
 
     def _result(self, context, info: source_info.SourceInfo) -> None:
-        """One line about what the capture does: to the scene, or to which hand."""
+        """Draw one line about what the capture does: to the scene, or to which hand."""
         layout, scene, hand = self.layout, context.scene, active_hand(context)
         settings = scene.manient
         if settings.camera == "ACTIVE" and scene.camera is None:
@@ -160,7 +160,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             row_of(parts, choosing is None).prop(settings, "added_side", expand=True)
 
     def _jobs(self) -> None:
-        """A line for each capture that waits or is over."""
+        """Draw a line for each capture that waits or is over."""
         layout, queue = self.layout.column(align=True), jobs.jobs()
         for index, job in enumerate(queue):
             row, name, result = layout.row(align=True), shortened_here(job.request.name), job.result
@@ -180,12 +180,12 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
 
 
 def shortened_here(name: str) -> str:
-    """A source's name, with room for a few words beside it."""
+    """Return a source's name, shortened so that a few words have room beside it."""
     return shortened(name, lambda text: len(text) <= _NAME)
 
 
 def has_scene_camera(scene: bpy.types.Scene) -> bool:
-    """True if hands may be captured before the scene's camera: one of the artist's."""
+    """True if hands may be captured before the scene's camera, which is one of the artist's."""
     camera = scene.camera
     own = camera is not None and not is_untouched(camera) and not is_of_a_capture(camera)
     return own or scene.manient.camera == "ACTIVE"

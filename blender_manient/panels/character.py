@@ -170,7 +170,7 @@ class MANIENT_PT_character_bones(EditSection, bpy.types.Panel):
 
 
 def _sources(context: bpy.types.Context, armature: bpy.types.Object) -> list[CapturedHand]:
-    """The captured hands that a character follows; none where that is not settled."""
+    """Return the captured hands that a character follows; none where that is not settled."""
     try:
         return [*sources_of(armature, context).values()]
     except HandfitError:

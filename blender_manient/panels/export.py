@@ -12,7 +12,7 @@ from ..scene.store import CapturedHand, active_hand, hand_of
 
 
 def _exported(context: bpy.types.Context) -> bpy.types.Object | CapturedHand | None:
-    """The character, or else the hand, that the buttons are for."""
+    """Return the character, or else the hand, that the buttons are for; None for neither."""
     chosen = context.active_object
     is_hand = chosen is not None and hand_of(chosen) is not None
     character = None if is_hand else active_character(context)

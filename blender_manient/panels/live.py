@@ -12,7 +12,7 @@ from ..session import live
 from ..session.live_takes import takes
 
 _PICTURE = 10.0
-"""height of the small picture, in buttons"""
+"""The height of the small picture, in heights of a button"""
 
 
 class MANIENT_PT_live(Section, bpy.types.Panel):

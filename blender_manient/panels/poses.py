@@ -46,7 +46,7 @@ def _controls(column, hand: CapturedHand) -> None:
 
 
 def _button(layout, settings, source: str, text: str, icon: str = "NONE") -> None:
-    """One that puts a pose on the frames that the row says."""
+    """Draw a button that puts a pose on the frames that the row says."""
     button = layout.operator("manient.apply_pose", text=text, translate=False, icon=icon)
     button.source, button.pose, button.blend = source, settings.pose, settings.pose_blend
     button.scope, button.first, button.last = settings.pose_scope, settings.pose_first, settings.pose_last

@@ -59,7 +59,7 @@ class MANIENT_PT_refine(EditSection, bpy.types.Panel):
         self._fitting(layout.row(), "manient.grip", "VIEW_PAN")
 
     def _fitting(self, row, operator: str, icon: str, *, stop: str = "Stop", **shown: str) -> None:
-        """The button that begins to fit a range, and in its place the one that stops that."""
+        """Draw the button that begins to fit a range, or in its place the one that stops that."""
         work = ModalOperator.running.get(operator)
         if work is not None:
             row.enabled = work.can_stop

@@ -40,7 +40,7 @@ class MANIENT_PT_result(EditSection, bpy.types.Panel):
             self._hand(context, layout.column(align=True), hand)
 
     def _views(self, context) -> None:
-        """How well the active capture's views fit together, and the button to the other one."""
+        """Draw how well the active capture's views fit together, and the button to the other one."""
         layout, capture = self.layout, captures.active_capture(context.scene)
         if capture is None:
             return
@@ -73,7 +73,8 @@ class MANIENT_PT_result(EditSection, bpy.types.Panel):
             note(box, text, "ERROR")
 
     def _quality(self, context, box: bpy.types.UILayout, hand: CapturedHand) -> None:
-        """In how many frames it was found, how far off it is likely to be, and the doubtful frames."""
+        """Draw in how many frames the hand was found, how far off it is likely to be, and the doubtful
+        frames."""
         armature, track, errors = hand.armature, hand.track, errors_of(hand)
         count = len(track.detected)
         filled = 0 if track.filled is None else int(track.filled.sum())
@@ -122,7 +123,7 @@ class MANIENT_PT_result(EditSection, bpy.types.Panel):
         back.hand, back.back = hand.armature.name, True
 
     def _arm(self, box: bpy.types.UILayout, hand: CapturedHand) -> None:
-        """The button that looks for the hand's arm, until it has one, or why there is none."""
+        """Draw the button that looks for the hand's arm, until it has one, or why there is none."""
         if hand.track.no_arm:
             note(box, capitalised(hand.track.no_arm), "INFO")
         elif has_arm(hand.armature) and hand.track.arm is not None:

@@ -29,10 +29,8 @@ CHARACTERS: list[type[Character]] = find_plugins(__name__, Character, needed=("l
 
 
 def found_hand(armature: bpy.types.Object, side: Side) -> Found:
-    """A character's hand of one side, of the kind that is surest of it.
-
-    Raises HandModelError where no kind recognises one, or where a kind cannot tell which of several it is.
-    """
+    """Return a character's hand of one side, of the kind that is surest of it. Raises HandModelError where no
+    kind recognises one, or where a kind cannot tell which of several it is."""
     bones = bones_of(armature)
     contenders: list[Found | SeveralHands] = []
     for kind in CHARACTERS:
@@ -54,7 +52,7 @@ def found_hand(armature: bpy.types.Object, side: Side) -> Found:
 
 
 def troubles(armature: bpy.types.Object, hand_map: HandMap) -> list[str]:
-    """What would make keys on a character's hand useless, a sentence each."""
+    """Return what would make keys on a character's hand useless, a sentence each."""
     kind = next((kind for kind in CHARACTERS if kind.label == hand_map.rig), None)
     try:
         return kind.troubles(armature, hand_map) if kind is not None else []
@@ -64,8 +62,8 @@ def troubles(armature: bpy.types.Object, hand_map: HandMap) -> list[str]:
 
 
 def arm_controls(armature: bpy.types.Object, hand_map: HandMap, bones: tuple[str, str]) -> ArmControls:
-    """What keys of an arm are put on, whose upper arm and forearm are these. Raises HandModelError where the
-    kind of character fails."""
+    """Return the bones that get the keys of an arm whose upper arm and forearm are `bones`. Raises
+    HandModelError where the kind of character fails."""
     kind = next((kind for kind in CHARACTERS if kind.label == hand_map.rig), Character)
     try:
         return kind.arm_controls(armature, hand_map, bones)
@@ -74,10 +72,8 @@ def arm_controls(armature: bpy.types.Object, hand_map: HandMap, bones: tuple[str
 
 
 def rig_of(armature: bpy.types.Object, side: Side | None = None) -> Rig:
-    """The hand of an armature, of the kind that is surest of it; `side` None: of the surer side.
-
-    Raises HandModelError where no kind recognises a hand.
-    """
+    """Return the hand of an armature, of the kind that is surest of it; `side` None: of the surer side.
+    Raises HandModelError where no kind recognises a hand."""
     surest, found = 0.0, None
     for kind in KINDS:
         for one in SIDES if side is None else (side,):

@@ -26,14 +26,15 @@ from handfit_core.hand_model.axes import points_to_world
 from .rig import PosedBones
 
 MARK: Final = "arm_bone"
-"""A bone's custom property: which one of `NAMES`, or `_SKIN`. The artist may give it another name"""
+"""Custom property of a bone with its role: one of `NAMES`, or `_SKIN`. The artist may give the bone another
+name"""
 NAMES: Final = ("upper_arm", "forearm")
 _SKIN: Final = "wrist_twist"
 _COLLECTION: Final = "Arm"
 TO_WRIST: Final = "To Wrist"
 TO_ELBOW: Final = "To Elbow"
 _STEADY: Final = 5
-"""frames before and after from which a straight arm takes how it is rolled"""
+"""How many frames before and after a straight arm takes its roll from"""
 
 
 class ArmBones(PosedBones):
@@ -41,7 +42,7 @@ class ArmBones(PosedBones):
 
     @property
     def bones(self) -> list[str]:
-        """The upper arm's and the forearm's name. Raises HandModelError where one is missing."""
+        """Return the names of the upper arm and the forearm. Raises HandModelError where one is missing."""
         marked = {bone.get(MARK): bone.name for bone in self.armature.data.bones}
         missing = next((name for name in NAMES if name not in marked), None)
         if missing is not None:
@@ -51,12 +52,11 @@ class ArmBones(PosedBones):
         return [marked[name] for name in NAMES]
 
     def to_bones(self, arm: ArmMotion, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Poses in the N frames with an arm: quaternions (N, 2, 4) relative to rest and parent, and the upper
-        arm's locations (N, 3) in metres along its own axes. `origin` (3,) is where the armature's space lies,
-        as in `RestPose`.
+        """Return the poses in the N frames with an arm: quaternions (N, 2, 4) relative to rest and parent,
+        and the upper arm's locations (N, 3) in metres along its own axes.
 
-        The elbow is a hinge: the forearm turns about the upper arm's X.
-        """
+        `origin` (3,), metres, is where the armature's space lies, as in `RestPose`. The elbow is a hinge: the
+        forearm turns about the upper arm's X."""
         bones = [self.armature.data.bones[name] for name in self.bones]
         rest_upper, rest_fore = (np.array(bone.matrix_local.to_3x3(), dtype=np.float64) for bone in bones)
         shoulder, elbow, wrist = (
@@ -79,13 +79,15 @@ def has_arm(armature: bpy.types.Object) -> bool:
 
 
 def skin_bone(armature: bpy.types.Object) -> bpy.types.Bone | None:
-    """The bone that moves the skin behind the wrist, where an arm was added."""
+    """Return the bone that moves the skin behind the wrist, where an arm was added; None elsewhere."""
     return next((bone for bone in armature.data.bones if bone.get(MARK) == _SKIN), None)
 
 
 def make_bones(edit_bones: Any, wrist: str, lengths: np.ndarray) -> dict[str, str]:
-    """The bones of an arm, straight behind the wrist's bone and with its axes; lengths (2,) in metres. Their
-    names, by those of `NAMES` and `_SKIN`. What an arm that was deleted left behind is replaced."""
+    """Make the bones of an arm, straight behind the wrist's bone and with its axes; lengths (2,) in metres.
+
+    Return their names, by those of `NAMES` and `_SKIN`. What an arm that was deleted left behind is
+    replaced."""
     hand = edit_bones[wrist]
     for left in [bone for bone in edit_bones if bone.get(MARK)]:
         edit_bones.remove(left)
@@ -119,21 +121,22 @@ def set_up(armature: bpy.types.Object, wrist: str, names: dict[str, str]) -> Non
 
 
 def tree_with_arm(armature: bpy.types.Object, wrist: str, names: Iterable[str]) -> dict[str, str]:
-    """The parent of each of the bones `names`, empty for a root, with the wrist hung on the forearm."""
+    """Return the parent of each of the bones `names`, empty for a root, with the wrist hung on the
+    forearm."""
     bones = armature.data.bones
     tree = {name: parent.name if (parent := bones[name].parent) is not None else "" for name in names}
     return tree | {wrist: ArmBones(armature).bones[1]}
 
 
 def _frames(across: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """(N, 3, 3) the axes of bones that lie along (N, 3), X as near as can be to `across` (N, 3)."""
+    """Return (N, 3, 3) the axes of bones that lie along (N, 3), X as near as can be to `across` (N, 3)."""
     back = _unit(np.cross(across, along))
     return np.stack([np.cross(along, back), along, back], axis=-1)
 
 
 def _steady(normals: np.ndarray) -> np.ndarray:
-    """(N, 3) normals of the arm's plane, whose length tells how far it is bent, from those around: that of a
-    straight arm is noise."""
+    """Return (N, 3) normals of the arm's plane, whose length tells how far it is bent, smoothed over the
+    frames around: that of a straight arm is noise."""
     weights = np.hanning(2 * _STEADY + 3)[1:-1]
     padded = np.pad(normals, ((_STEADY, _STEADY), (0, 0)), mode="edge")
     return np.stack([np.convolve(column, weights, mode="valid") for column in padded.T], axis=-1)

@@ -18,5 +18,5 @@ class AnyCharacter(Character):
 
     @classmethod
     def find(cls, armature: bpy.types.Object, bones: Bones, side: Side) -> Found | None:
-        """The surest hand whose own keys do something."""
+        """Return the surest hand of that side whose own keys do something; None for none."""
         return the_surest(hands_in(bones, side), bones, driven_bones(armature))

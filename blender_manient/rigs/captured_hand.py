@@ -18,11 +18,11 @@ from . import arm, controls
 from .rig import Rig
 
 _SUFFIX: dict[Side, str] = {"right": ".R", "left": ".L"}
-"""What Blender's mirror tools look for at the end of a bone's name."""
+"""The ends of bones' names by which Blender's mirror tools know their side"""
 
 
 def bone_names(side: Side) -> list[str]:
-    """The 16 bones of one side in MANO's order: `wrist.R`, `index_proximal.R`, ..."""
+    """Return the names of the 16 bones of one side in MANO's order: `wrist.R`, `index_proximal.R`, ..."""
     return [name + _SUFFIX[side] for name in JOINT_NAMES]
 
 
@@ -31,8 +31,8 @@ class CapturedHandRig(Rig):
 
     @classmethod
     def recognises(cls, armature: bpy.types.Object, side: Side) -> float:
-        """By how many of the bones are there; a hand that the add-on made is one also without them, if its
-        bones are not those of another kind of rig."""
+        """Return the share of the bones that are there, 0..1; at least 0.5 for a hand of that side that the
+        add-on made, also without them, if its bones are not those of another kind of rig."""
         there = sum(name in armature.data.bones for name in bone_names(side)) / len(JOINT_NAMES)
         noted = getattr(armature, "manient", None)  # not there where the add-on is not registered
         if noted is not None and noted.is_hand:
@@ -41,7 +41,7 @@ class CapturedHandRig(Rig):
 
     @property
     def bones(self) -> list[str]:
-        """`bone_names` of its side."""
+        """Return the names of the 16 bones of the hand's side, as `bone_names` gives them."""
         return bone_names(self.side)
 
     def follow(self, shaped: ShapedHand) -> None:
@@ -59,7 +59,7 @@ class CapturedHandRig(Rig):
 
     @property
     def controls(self) -> dict[str, str]:
-        """The bones to animate it with by hand, by what they control; none until they are added."""
+        """Return the bones to animate the hand with, by what they control; none until they are added."""
         return controls.control_bones(self.armature)
 
     def add_controls(self, model: str) -> None:
@@ -69,7 +69,7 @@ class CapturedHandRig(Rig):
         controls.set_up(self.armature, self.bones, names, joint_limits(self.side, model))
 
     def remove_controls(self) -> None:
-        """Take the controls away, with all that they do."""
+        """Take the hand's controls away, with all that they do."""
         names = self.controls
         controls.take_down(self.armature)
         with edited_bones(self.armature.data) as edit_bones:
@@ -89,11 +89,10 @@ class CapturedHandRig(Rig):
 
 
 def build_rig(name: str, shaped: ShapedHand, side: Side) -> CapturedHandRig:
-    """A rig at the world's origin whose rest pose is the shaped, flat hand.
+    """Build a rig at the world's origin whose rest pose is the shaped, flat hand.
 
     It is not linked to any collection. Pose bones are set to quaternions. The open scene, with the artist's
-    mode, active object and selection, is not touched.
-    """
+    mode, active object and selection, is not touched."""
     armature = bpy.data.armatures.new(name)
     obj = bpy.data.objects.new(name, armature)
     with edited_bones(armature) as edit_bones:
@@ -112,7 +111,8 @@ def build_rig(name: str, shaped: ShapedHand, side: Side) -> CapturedHandRig:
 
 
 def _place(bones: list[bpy.types.EditBone], shaped: ShapedHand, side: Side) -> tuple[np.ndarray, np.ndarray]:
-    """Put 16 bones in edit mode where the shaped, flat hand has them. Returns heads and tails (16, 3)."""
+    """Put 16 bones in edit mode where the shaped, flat hand has them. Return heads and tails, (16, 3) metres
+    each."""
     heads = axes.points_to_rest(shaped.joints)
     tails = axes.points_to_rest(axes.bone_tails(shaped))
     for bone, head, tail, frame in zip(bones, heads, tails, axes.bone_frames(shaped, side), strict=True):
@@ -123,11 +123,10 @@ def _place(bones: list[bpy.types.EditBone], shaped: ShapedHand, side: Side) -> t
 
 @contextlib.contextmanager
 def edited_bones(armature: bpy.types.Armature) -> Iterator[Any]:
-    """The bones of an armature in edit mode, where they can be made.
+    """Yield the bones of an armature in edit mode, where they can be made.
 
     That is the mode of an object and a scene that nobody sees: the artist's own object may be in Pose mode,
-    hidden or in a collection that is switched off, and the artist's scene is neither seen nor evaluated.
-    """
+    hidden or in a collection that is switched off, and the artist's scene is neither seen nor evaluated."""
     scene, editor = bpy.data.scenes.new("armature"), bpy.data.objects.new("edit", armature)
     try:
         scene.collection.objects.link(editor)

@@ -20,8 +20,8 @@ from .rig import PosedBones
 
 @dataclass(frozen=True)
 class ArmControls:
-    """Which bones of an arm get keys: by FK upper arm, forearm and hand; by IK the hand, and what swivels the
-    elbow."""
+    """The bones of an arm that get keys: by FK upper arm, forearm and hand; by IK the hand, and what swivels
+    the elbow."""
 
     hand: str
     upper: str = ""
@@ -34,7 +34,7 @@ class ArmControls:
 
     @property
     def keyed(self) -> tuple[str, ...]:
-        """The names of all of them."""
+        """Return the names of all bones that get keys."""
         names = self.upper, self.fore, self.hand, self.pole or self.swivel
         return tuple(name for name in names if name)
 
@@ -43,17 +43,17 @@ class Character(ABC):
     """A kind of character rig: which of its bones are hands."""
 
     label: ClassVar[str]
-    """What an artist calls it"""
+    """The name by which an artist knows this kind of rig"""
 
     @classmethod
     @abstractmethod
     def find(cls, armature: bpy.types.Object, bones: Bones, side: Side) -> Found | None:
-        """The hand of that side, if the armature has one of this kind."""
+        """Return the hand of that side, if the armature has one of this kind; else None."""
 
     @classmethod
     def troubles(cls, armature: bpy.types.Object, hand_map: HandMap) -> list[str]:  # noqa: ARG003
-        """What would make keys on the mapped bones useless, such as a switch that is set to IK; one sentence
-        each. None of them by default. The map has no `control` where only fingers get keys."""
+        """Return what would make keys on the mapped bones useless, such as a switch that is set to IK; one
+        sentence each. None of them by default. The map has no `control` where only fingers get keys."""
         return []
 
     @classmethod
@@ -63,7 +63,8 @@ class Character(ABC):
         hand_map: HandMap,
         bones: tuple[str, str],
     ) -> ArmControls:
-        """What keys of an arm are put on; `bones` are its upper arm and forearm. By default themselves."""
+        """Return the bones that get the keys of an arm; `bones` are its upper arm and forearm, and by default
+        they are these."""
         return ArmControls(hand_map.moved_by, *bones)
 
 
@@ -76,12 +77,12 @@ class CharacterBones(PosedBones):
 
     @property
     def bones(self) -> list[str]:
-        """The names."""
+        """Return the bones' names."""
         return self._bones
 
 
 def bones_of(armature: bpy.types.Object) -> Bones:
-    """How an armature's bones lie at rest, as Blender has them now."""
+    """Return how an armature's bones lie at rest, as Blender has them now."""
     bones = armature.data.bones
     names = tuple(bone.name for bone in bones)  # parents before children
     index = {name: i for i, name in enumerate(names)}
@@ -101,7 +102,7 @@ def bones_of(armature: bpy.types.Object) -> Bones:
 
 
 def driven_bones(armature: bpy.types.Object) -> set[str]:
-    """The bones that a constraint turns or moves, so that keys of their own do nothing."""
+    """Return the bones that a constraint turns or moves, so that keys of their own do nothing."""
     return {
         bone.name
         for bone in armature.pose.bones

@@ -29,23 +29,25 @@ from ..common.blender_versions import channels, used_actions
 from .arm import TO_ELBOW, TO_WRIST
 
 MARK: Final = "hand_control"
-"""A bone's custom property: what it controls. The artist may give it another name"""
+"""Custom property of a control's bone that says what it controls, whatever name the artist gives it"""
 CAPTURED: Final = "wrist_captured"
-"""Follows the wrist's keys, and nothing else: where the hand's control stands while it rests"""
+"""The role of the bone that follows the wrist's keys and nothing else: the hand's control stands there while
+it rests"""
 ROLES: Final = (CAPTURED, "hand", "fingers", *FINGERS)
 """Every bone that belongs to the controls, in the order in which they are made"""
 LIMIT: Final = "Joint Limits"
 _CONTROL: Final = "Hand Control"
-"""What the constraints' names begin with"""
+"""The beginning of the names of the controls' constraints"""
 _COLLECTIONS: Final = ("Captured Bones", "Hand Controls", "Mechanism")
 _BEFORE: Final = "before_controls"
-"""A bone's custom property: what is given back when the controls are removed, as JSON"""
+"""Custom property of a bone with what is given back when the controls are removed, as JSON"""
 _HAND_COLOR: Final = np.array([1.0, 0.7, 0.15])
 _FINGER_COLOR: Final = np.array([0.25, 0.8, 1.0])
 _SHAPE: Final = "hand_control_shape"
 _QUARTER: Final = pi / 2
 _FAN: Final = {"thumb": -1.0, "index": -1.0, "middle": -0.2, "ring": 0.5, "little": 1.2}
-"""How far each finger spreads for what the fingers' control is turned"""
+"""By finger, how far it spreads, as a share of the turn of the fingers' control; negative to the other
+side"""
 _TURN: Final = {
     **{"map_from": "ROTATION", "map_to": "ROTATION", "use_motion_extrapolate": True},
     **{"from_rotation_mode": "XYZ", "to_euler_order": "XYZ"},
@@ -53,7 +55,7 @@ _TURN: Final = {
     **{f"from_min_{axis}_rot": -_QUARTER for axis in "xyz"},
     **{f"from_max_{axis}_rot": _QUARTER for axis in "xyz"},
 }
-"""What constraints have by which bones are turned as others are"""
+"""Settings of the constraints by which bones are turned as others are"""
 _LIMITED: Final = {
     **{"euler_order": "XZY", "use_transform_limit": True},
     **dict.fromkeys(("use_limit_x", "use_limit_y", "use_limit_z"), True),
@@ -78,26 +80,27 @@ _SHAPES: Final = {
 the back"""
 _RING_POINTS: Final = 32
 _PLAY: Final = np.radians(1.0)
-"""How much farther than the keys limits reach, for what lies between keys"""
+"""Radians by which limits reach farther than the keys, for what lies between keys"""
 _KNUCKLES: Final = 0.75
-"""Where along the wrist's bone the fingers' control is turned about"""
+"""Where the fingers' control is turned about, as a share of the length of the wrist's bone"""
 
 
 def control_bones(armature: bpy.types.Object) -> dict[str, str]:
-    """The controls of an armature by what they control, in the order of `ROLES`; empty where it has none."""
+    """Return an armature's controls: the names of their bones by what they control, in the order of `ROLES`;
+    empty where it has none."""
     marked = {bone.get(MARK): bone.name for bone in armature.data.bones}
     return {role: marked[role] for role in ROLES if role in marked}
 
 
 def with_moved(armature: bpy.types.Object, bones: list[str], selected: set[str]) -> set[str]:
-    """Names of selected bones, and of those of the 16 `bones` that selected controls move."""
+    """Return the names of selected bones, and of those of the 16 `bones` that selected controls move."""
     moved = {"hand": [0], "fingers": range(1, NUM_JOINTS), **FINGER_JOINTS}
     chosen = [role for role, name in control_bones(armature).items() if name in selected]
     return selected | {bones[joint] for role in chosen for joint in moved.get(role, ())}
 
 
 def _joint_of(role: str) -> int:
-    """The joint whose bone a control lies on."""
+    """Return the index, in MANO's order, of the joint whose bone a control lies on."""
     return FINGER_JOINTS[role][0] if role in FINGERS else 0
 
 
@@ -112,7 +115,7 @@ def place_controls(edit_bones: Any, bones: list[str], controls: dict[str, str]) 
 
 
 def make_bones(edit_bones: Any, bones: list[str]) -> dict[str, str]:
-    """The controls' bones, without anything that they do. Their names, by what they control."""
+    """Make the controls' bones, which do nothing yet; return their names by what they control."""
     suffix = bones[0][-2:]
     made = {role: edit_bones.new(role + suffix) for role in ROLES}
     for role, bone in made.items():
@@ -124,7 +127,7 @@ def make_bones(edit_bones: Any, bones: list[str]) -> dict[str, str]:
 
 
 def set_up(armature: bpy.types.Object, bones: list[str], names: dict[str, str], limits: JointLimits) -> None:
-    """Have bones that `make_bones` made control the hand, and give them their looks."""
+    """Have the bones that `make_bones` made control the hand, and give them their shapes."""
     pose = armature.pose.bones
     for role, name in names.items():
         armature.data.bones[name][MARK] = role
@@ -144,7 +147,8 @@ def set_up(armature: bpy.types.Object, bones: list[str], names: dict[str, str], 
         _constraint(pose[bone], kind, name, **source, **settings)
 
     def turned(bone: str, role: str, name: str, mix: str, **quarter: float) -> None:
-        """Have a quarter turn of a control about an axis turn a bone about its own, by so many radians."""
+        """Have the control of a role turn a bone: its quarter turn about x, y or z turns the bone about the
+        same axis by so many radians."""
         ranges = _TURN | {"mix_mode_rot": mix}
         for axis, turn in quarter.items():
             ranges |= {f"to_min_{axis}_rot": -turn, f"to_max_{axis}_rot": turn}
@@ -196,14 +200,14 @@ def _give_back(armature: bpy.types.Object, text: str) -> None:
 
 
 def switch(armature: bpy.types.Object) -> None:
-    """Switch the controls and the limits on or off, as `Object.manient` has it."""
+    """Switch the controls and the limits on or off, as the properties of `Object.manient` say."""
     for _, constraint in _constraints(armature):
         on = armature.manient.limits if constraint.name == LIMIT else armature.manient.use_controls
         constraint.enabled = on
 
 
 def reset(armature: bpy.types.Object) -> None:
-    """Put the controls at rest, and switch constraints of others on them off. Keys stay."""
+    """Put the controls at rest, and switch the constraints that others put on them off. Keys stay."""
     for bone in _handles(armature):
         bone.matrix_basis = Matrix.Identity(4)
         for constraint in _foreign(bone):
@@ -221,7 +225,8 @@ def in_use(armature: bpy.types.Object) -> bool:
 
 
 def are_moving(armature: bpy.types.Object) -> bool:
-    """True if the controls may do something else in every frame: they have keys or others' constraints."""
+    """True if the controls may do something else in every frame: they have keys, or constraints that others
+    put on them."""
     if any(_foreign(bone) for bone in _handles(armature)):
         return True
     for _, curve in keyed_curves(armature):
@@ -234,7 +239,7 @@ def are_moving(armature: bpy.types.Object) -> bool:
 
 
 def keyed_curves(armature: bpy.types.Object) -> Iterator[tuple[Any, bpy.types.FCurve]]:
-    """The curves of the controls with what holds them, in every action that moves the armature."""
+    """Yield the curves of the controls, each after what holds it, in every action that moves the armature."""
     paths = tuple(f'pose.bones["{name}"]' for name in control_bones(armature).values())
     for action, slot in used_actions(armature) if paths else ():
         holder = channels(action, slot)
@@ -254,20 +259,21 @@ def _is_of_controls(constraint: bpy.types.Constraint) -> bool:
 
 
 def _handles(armature: bpy.types.Object) -> list[bpy.types.PoseBone]:
-    """The bones that the artist moves."""
+    """Return the pose bones of the controls that the artist moves."""
     names = control_bones(armature)
     return [armature.pose.bones[name] for role, name in names.items() if role != CAPTURED]
 
 
 def _foreign(bone: bpy.types.PoseBone) -> list[bpy.types.Constraint]:
-    """The constraints of a control that are not its own and do something."""
+    """Return those constraints of a control that the add-on did not make and that do something."""
     return [
         c for c in bone.constraints if not c.name.startswith(_CONTROL) and not c.mute and c.influence > 0.0
     ]
 
 
 def widen(armature: bpy.types.Object, bones: list[str], quats: np.ndarray) -> None:
-    """Have the limits let poses (N, 16, 4) through; NaN for those that do not matter."""
+    """Have the joints' limits let poses (N, 16, 4), quaternions as (w, x, y, z), through; NaN for those that
+    do not matter."""
     limits = [armature.pose.bones[name].constraints.get(LIMIT) for name in bones[1:]]
     if len(quats) == 0 or not any(limits):
         return
@@ -345,7 +351,8 @@ def _dress(bone: bpy.types.PoseBone, role: str, at: bpy.types.PoseBone) -> None:
 
 
 def _shape(kind: str) -> bpy.types.Object:
-    """An object without faces that all hands of the file share, in no scene: it is only drawn for bones."""
+    """Return an object without faces that all hands of the file share, in no scene: it is only drawn for
+    bones."""
     for there in bpy.data.objects:
         if there.get(_SHAPE) == kind and there.library is None:
             return there

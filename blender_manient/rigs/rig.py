@@ -20,7 +20,7 @@ from ..common.wording import capitalised
 
 
 def bone_path(name: str) -> str:
-    """The data path of a pose bone, as curves and drivers have it, whatever its name holds."""
+    """Return the data path of a pose bone, as curves and drivers have it, whatever its name holds."""
     return f'pose.bones["{bpy.utils.escape_identifier(name)}"]'
 
 
@@ -33,11 +33,11 @@ class PosedBones(ABC):
     @property
     @abstractmethod
     def bones(self) -> list[str]:
-        """The bones' names. The first one's location may have keys too."""
+        """Return the bones' names. The first one's location may have keys too."""
 
     @property
     def lacking(self) -> str | None:
-        """Which bone is missing, in a sentence for a tooltip; None where all are there."""
+        """Return a sentence for a tooltip about which bone is missing; None where all are there."""
         there = self.armature.data.bones
         try:
             missing = next((name for name in self.bones if name not in there), None)
@@ -48,14 +48,14 @@ class PosedBones(ABC):
         return f"The hand lacks the bone {missing}: give its bones their names back"
 
     def check(self) -> None:
-        """Raises HandModelError where a bone is missing."""
+        """Raise HandModelError where a bone is missing."""
         why = self.lacking
         if why is not None:
             raise HandModelError(f"{self.armature.name!r}: {why[:1].lower()}{why[1:]}")
 
     def allow(self, quats: np.ndarray) -> None:  # noqa: B027
-        """Called with poses (N, B, 4) that the bones get, NaN for bones that do not: limits that the rig has
-        are to let them through."""
+        """Let the rig's limits, where it has any, through to poses (N, B, 4) that the bones get; NaN for
+        bones that do not."""
 
 
 class Rig(PosedBones):
@@ -66,7 +66,7 @@ class Rig(PosedBones):
     """
 
     def __init_subclass__(cls) -> None:
-        """Have what goes wrong in a plug-in be a sentence for whoever asks it for bones and poses."""
+        """Have what goes wrong in a plug-in become a sentence for whoever asks it for bones and poses."""
         for name in {"bones", "rest", "to_bones", "from_bones", "follow"} & vars(cls).keys():
             own: Any = vars(cls)[name]
             getter = getattr(own, "fget", None)
@@ -79,16 +79,16 @@ class Rig(PosedBones):
     @classmethod
     @abstractmethod
     def recognises(cls, armature: bpy.types.Object, side: Side) -> float:
-        """How sure it is that the armature has a hand of this kind and side: 0 (it has none) to 1."""
+        """Return how sure it is that the armature has a hand of this kind and side, 0 (it has none) to 1."""
 
     @property
     @abstractmethod
     def bones(self) -> list[str]:
-        """The names of the 16 bones, the wrist's first."""
+        """Return the names of the 16 bones, the wrist's first."""
 
     @property
     def rest(self) -> RestPose:
-        """How the bones lie at rest, as Blender has them now."""
+        """Return how the bones lie at rest, as Blender has them now."""
         bones = [self.armature.data.bones[name] for name in self.bones]
         frames = np.array([bone.matrix_local.to_3x3() for bone in bones], dtype=np.float64)
         noted = getattr(self.armature, "manient", None)  # not there where the add-on is not registered
@@ -98,13 +98,14 @@ class Rig(PosedBones):
     def to_bones(
         self, shaped: ShapedHand, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """A take's poses as the bones have them: `RestPose.to_bones`."""
+        """Return a take's poses as the bones have them: `RestPose.to_bones`."""
         return self.rest.to_bones(shaped, global_orient, hand_pose, transl)
 
     def from_bones(
         self, shaped: ShapedHand, quats: np.ndarray, locations: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The inverse of `to_bones`: global_orient (N, 3), hand_pose (N, 45) and transl (N, 3)."""
+        """Return the inverse of `to_bones`: global_orient (N, 3) and hand_pose (N, 45), axis-angle in
+        radians, and transl (N, 3) in metres."""
         return self.rest.from_bones(shaped, quats, locations)
 
     def follow(self, shaped: ShapedHand) -> None:  # noqa: ARG002
@@ -116,24 +117,27 @@ class Rig(PosedBones):
 
     @property
     def controls(self) -> dict[str, str]:
-        """The bones to animate it with by hand on top of its keys, by what they control; empty for none."""
+        """Return the bones to animate the hand with on top of its keys, by what they control; empty for
+        none."""
         return {}
 
     def add_controls(self, model: str) -> None:  # noqa: ARG002
-        """Give it controls; `model` is its hand model's name. Raises OptionError for rigs that have none of
-        ours."""
+        """Give the hand controls; `model` is its hand model's name. Raises OptionError for rigs that have
+        none of ours."""
         raise OptionError(f"{self.armature.name!r} has bones of its own: animate it with these")
 
     def remove_controls(self) -> None:
-        """Take its controls away again."""
+        """Take the hand's controls away again."""
 
     def add_arm(self, lengths: np.ndarray) -> None:  # noqa: ARG002
-        """Give it an arm; lengths (2,) in metres. Raises OptionError for rigs that get none of ours."""
+        """Give the hand an arm; lengths (2,) in metres, of upper arm and forearm. Raises OptionError for rigs
+        that get none of ours."""
         raise OptionError(f"{self.armature.name!r} has bones of its own, and gets no arm")
 
 
 def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:
-    """A method of a kind of rig whose own errors are raised as HandModelErrors that name the kind."""
+    """Return a method of a kind of rig so that its own errors are raised as HandModelErrors that name the
+    kind."""
 
     @functools.wraps(method)
     def guarded(self: Rig, *args: Any, **kwargs: Any) -> Any:

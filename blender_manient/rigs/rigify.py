@@ -27,7 +27,7 @@ _AT_REST = {
     "rotation_axis_angle": (0.0,),  # no angle about any axis
     "scale": (1.0, 1.0, 1.0),
 }
-"""A bone's channels"""
+"""The values of a bone's channels at rest, by the channel"""
 
 
 class RigifyCharacter(Character):
@@ -37,7 +37,8 @@ class RigifyCharacter(Character):
 
     @classmethod
     def find(cls, armature: bpy.types.Object, bones: Bones, side: Side) -> Found | None:
-        """By what Rigify leaves in armatures that it generates."""
+        """Return the hand that is recognised by what Rigify leaves in armatures that it generates; None where
+        it has left nothing."""
         if "rig_id" not in armature.data or not any(name.startswith("ORG-") for name in bones.names):
             return None
         found = AnyCharacter.find(armature, bones, side)
@@ -54,7 +55,7 @@ class RigifyCharacter(Character):
     def arm_controls(
         cls, armature: bpy.types.Object, hand_map: HandMap, bones: tuple[str, str]
     ) -> ArmControls:
-        """The controls of FK or IK, whichever acts; of a limb with neither, the bones themselves."""
+        """Return the controls of FK or IK, whichever acts; of a limb with neither, the bones themselves."""
         core = _core(hand_map)
         switch = _switch(armature, core)
         chain = armature.data.bones.get(f"ORG-{core}")
@@ -69,8 +70,8 @@ class RigifyCharacter(Character):
 
     @classmethod
     def troubles(cls, armature: bpy.types.Object, hand_map: HandMap) -> list[str]:
-        """Masters and finger IK that turn the fingers on top of their controls, and a hand whose control does
-        not act."""
+        """Return a sentence for each master and finger IK that turns the fingers on top of their controls,
+        and for a hand whose control does not act."""
         pose, core, curves = armature.pose.bones, _core(hand_map), _curves(armature)
         fingers = [[hand_map.bones[joint] for joint in FINGER_JOINTS[finger]] for finger in hand_map.fingers]
         firsts = [next(filter(None, names)) for names in fingers]
@@ -115,17 +116,18 @@ class RigifyCharacter(Character):
 
 
 def _derived(name: str, suffix: str) -> str:
-    """How Rigify calls a control that it makes of a bone: the suffix stands before the side."""
+    """Return Rigify's name for a control that it makes of a bone: the suffix stands before the side."""
     return re.sub(r"((?:[._](?:[lLrR]|left|right))?(?:\.\d+)?)$", rf"{suffix}\1", name, count=1)
 
 
 def _core(hand_map: HandMap) -> str:
-    """What the metarig called the hand."""
+    """Return the metarig's name for the hand."""
     return hand_map.bones[0].removeprefix("DEF-").removeprefix("ORG-")
 
 
 def _switch(armature: bpy.types.Object, core: str) -> bpy.types.PoseBone | None:
-    """The control of the hand's own arm that has the property IK_FK: 0 IK, 1 FK."""
+    """Return the control of the hand's own arm that has the property IK_FK (0 IK, 1 FK); None where there is
+    none."""
     bone = armature.data.bones.get(f"ORG-{core}")
     for above in bone.parent_recursive if bone is not None else ():
         control = armature.pose.bones.get(_derived(above.name.removeprefix("ORG-"), "_parent"))
@@ -135,7 +137,7 @@ def _switch(armature: bpy.types.Object, core: str) -> bpy.types.PoseBone | None:
 
 
 def _curves(armature: bpy.types.Object) -> list[Any]:
-    """What holds the curves that move an armature: its drivers, and its actions that are not muted."""
+    """Return what holds the curves that move an armature: its drivers, and its actions that are not muted."""
     data = armature.animation_data
     holders = [channels(action, slot) for action, slot in used_actions(armature, acting=True)]
     return [*([data.drivers] if data else []), *(holder.fcurves for holder in holders if holder is not None)]

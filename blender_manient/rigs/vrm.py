@@ -21,7 +21,7 @@ class VrmCharacter(Character):
 
     @classmethod
     def find(cls, armature: bpy.types.Object, bones: Bones, side: Side) -> Found | None:
-        """By the add-on's humanoid, if the add-on is there."""
+        """Return the hand by the VRM add-on's humanoid, if the add-on is there; else None."""
         noted = getattr(armature.data, "vrm_addon_extension", None)
         if noted is None:
             return None
@@ -38,8 +38,8 @@ class VrmCharacter(Character):
 
 
 def _humanoid(side: Side, newer: bool) -> list[str]:
-    """What VRM calls a hand's bones, by MANO's joints: as the add-on has them as properties from 1.0 on, or
-    as they stand in older files."""
+    """Return VRM's names for a hand's bones, by MANO's joints: as the add-on has them as properties from 1.0
+    on, or as they stand in older files."""
     names = [f"{side}_hand"] * NUM_JOINTS
     for finger, joints in FINGER_JOINTS.items():
         parts = ("metacarpal", "proximal", "distal") if newer and finger == "thumb" else _PARTS

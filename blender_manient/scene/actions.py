@@ -16,32 +16,32 @@ from handfit_core.common.errors import OptionError
 from ..common.blender_versions import action_slot, channels, users_of
 
 BELOW = "manient_below"
-"""Custom property of an action that lies as a layer on another one, which it names (scene/layer.py)"""
+"""Custom property of an action that lies as a layer on another one: the name of that one (scene/layer.py)"""
 
 
 def strips_of(obj: bpy.types.Object) -> list[bpy.types.NlaStrip]:
-    """All NLA strips of an object, from the bottom."""
+    """Return all NLA strips of an object, from the bottom."""
     tracks = obj.animation_data.nla_tracks if obj.animation_data is not None else ()
     return [strip for track in tracks for strip in track.strips]
 
 
 def channels_of(user: Any, *, make: bool = False) -> Any:
-    """What holds the curves of a user's action; None where there is nothing, unless `make`."""
+    """Return what holds the curves of a user's action; None where there is nothing, unless `make`."""
     return channels(user.action, action_slot(user), make=make) if user and user.action else None
 
 
 def curves_in(holder: Any) -> list[bpy.types.FCurve]:
-    """The curves of what `channels` gives; none of None."""
+    """Return the curves of what `channels_of` gives; none of None."""
     return [] if holder is None else list(holder.fcurves)
 
 
 def present_curves(obj: bpy.types.Object) -> list[bpy.types.FCurve]:
-    """The curves of an object's present action."""
+    """Return the curves of an object's present action."""
     return curves_in(channels_of(obj.animation_data))
 
 
 def is_tweaked(armature: bpy.types.Object) -> bool:
-    """True if an NLA strip of it is being edited, whose action has a time of its own."""
+    """True if an NLA strip of the armature is being edited, whose action has a time of its own."""
     data = armature.animation_data
     return data is not None and data.use_tweak_mode
 
@@ -54,24 +54,25 @@ def is_layered(armature: bpy.types.Object) -> bool:
 
 
 def strip_below(armature: bpy.types.Object) -> Any:
-    """The NLA strip with the motion on which the active action lies as a layer; None where it does not."""
+    """Return the NLA strip with the motion on which the active action lies as a layer; None where it does
+    not."""
     motion = armature.animation_data.action.get(BELOW) if is_layered(armature) else None
     return next((strip for strip in strips_of(armature) if motion and strip.action == motion), None)
 
 
 def motion_user(armature: bpy.types.Object) -> Any:
-    """What uses the action with the armature's motion: a strip below a layer, else its animation data, else
-    its topmost strip; None where there is none."""
+    """Return the user of the action with the armature's motion: a strip below a layer, else the armature's
+    animation data, else its topmost strip; None where there is none."""
     return strip_below(armature) or next(iter(users_of(armature)), None)
 
 
 def same_slot(action: bpy.types.Action, slot: Any) -> Any:
-    """The slot of an action that is called like this one; None where there is none."""
+    """Return the slot of an action that has the name of this one; None where there is none."""
     return next((s for s in action.slots if s.identifier == slot.identifier), None) if slot else None
 
 
 def use_action(user: Any, action: bpy.types.Action, slot: Any) -> None:
-    """Have a user take an action, with the slot that is called like this one."""
+    """Have a user take an action, with the slot that has the name of this one."""
     same = same_slot(action, slot)
     user.action = action
     if same is not None:

@@ -123,8 +123,8 @@ def apply_pose(obj: bpy.types.Object, motion: HandMotion, frame: float) -> None:
 def _in_scene(
     hand: CapturedHand, take: Take, track: HandTrack, frame: float, *, own: bool
 ) -> tuple[Take, HandTrack, np.ndarray]:
-    """The take and its track with rows where the scene gets keys, and their scene frames (N,): those of the
-    target's own pictures, else from `frame` on."""
+    """Return the take and its track with rows where the scene gets keys, and the (N,) scene frames of these
+    rows: those of the target's own pictures, else from `frame` on."""
     if not own:
         take, timing, _ = in_scene(bpy.context.scene, replace(take, hands=(track,)), frame)
         return take, take.hands[0], timing.scene_frames(take.frame_numbers)
@@ -137,7 +137,8 @@ def _in_scene(
 
 
 def track_for(take: Take, side: str) -> HandTrack:
-    """The take's hand of that side, else its first, which is then mirrored. Raises OptionError."""
+    """Return the take's hand of that side, else its first hand, which is then mirrored. Raises
+    OptionError."""
     if not take.hands:
         raise OptionError(f"the take of {take.source.name} has no hand in it")
     return next((t for t in take.hands if t.side == side), take.hands[0])
@@ -162,7 +163,7 @@ def _checked(obj: bpy.types.Object, mode: Mode) -> CapturedHand:
 
 
 def _source_wrist(take: Take, track: HandTrack, hand: CapturedHand) -> np.ndarray:
-    """Where the source's wrist is before it is moved: (3,) metres, model frame."""
+    """Return where the source's wrist is before it is moved: (3,) metres in the hand model's frame."""
     try:
         return kept_model(take.model, track.side).shaped(track.betas).joints[0]
     except HandModelError:

@@ -31,7 +31,7 @@ from .store import CapturedHand, captured_take, hand_of, keep_take, keeping_take
 
 
 def check_lacks_arms(collection: bpy.types.Collection) -> None:
-    """Raises OptionError where no hand of a capture can be given an arm."""
+    """Raise OptionError where no hand of a capture can be given an arm."""
     hands = hands_of(collection)
     if all(hand.track.no_arm or has_arm(hand.armature) for hand in hands):
         reasons = (hand.track.no_arm for hand in hands if hand.track.no_arm)
@@ -89,6 +89,6 @@ def add_arms(collection: bpy.types.Collection, found: Take) -> None:
 
 
 def hands_of(collection: bpy.types.Collection) -> list[CapturedHand]:
-    """The captured hands of a collection's take."""
+    """Return the captured hands of a collection's take."""
     armatures = [obj for obj in collection.all_objects if obj.type == "ARMATURE"]
     return [hand for hand in map(hand_of, armatures) if hand is not None and hand.collection == collection]

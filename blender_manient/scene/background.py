@@ -34,14 +34,14 @@ _UPRIGHT = {
     7: (True, False, 1),
     8: (False, False, -1),
 }
-"""EXIF orientation -> whether the stored picture is flipped in x and in y, and how many quarter turns
+"""By EXIF orientation: whether the stored picture is flipped in x and in y, and how many quarter turns
 clockwise it is given then, so that it is upright"""
 _AFTER_BLENDERS_TURN = {2: 4, 4: 4, 5: 2, 7: 2}
-"""Orientation of a movie -> the one that is left where Blender has turned it: it takes a display matrix for
-the rotation of the picture's x axis, and knows no reflections"""
+"""By the orientation of a movie, the one that is left where Blender has turned it: it takes a display matrix
+for the rotation of the picture's x axis, and knows no reflections"""
 
 _WHOLE = 1e-6
-"""frames within which a moment is that of a frame"""
+"""Frames within which a moment counts as that of a frame"""
 
 
 @dataclass(frozen=True)
@@ -53,23 +53,24 @@ class Plate:
     frame_offset: int = 0
     frame_duration: int = 1
     offset_driver: str = ""
-    """What drives the offset where scene frames are not the source's: a simple expression of `frame`, which
-    Blender evaluates without Python"""
+    """The expression that drives the offset where scene frames are not the source's: a simple one of `frame`,
+    which Blender evaluates without Python"""
     orientation: int = 1
     """The EXIF orientation (1-8) that the image has, and that is undone where it is shown"""
 
     @property
     def placing(self) -> tuple[bool, bool, int]:
-        """True if the image is flipped in x, and in y, where it is shown, and the number of quarter turns
-        clockwise (-1, 0 or 1) that it is given after that."""
+        """Return whether the image is flipped in x, and in y, where it is shown, and the number of quarter
+        turns clockwise (-1, 0 or 1) that it is given after that."""
         return _UPRIGHT[self.orientation]
 
     def mirrored(self) -> Plate:
-        """The same, with left and right exchanged where it is shown."""
+        """Return the plate with left and right exchanged where it is shown."""
         return replace(self, orientation=(self.orientation - 1 ^ 1) + 1)
 
     def places(self, uv: np.ndarray) -> np.ndarray:
-        """(N, 2) texture coordinates in the image of those in the upright picture."""
+        """Return texture coordinates (N, 2) in the image of texture coordinates (N, 2) in the upright
+        picture."""
         flip_x, flip_y, turns = self.placing
         x, y = np.asarray(uv).T - 0.5
         for _ in range(turns % 4):
@@ -77,7 +78,7 @@ class Plate:
         return 0.5 + np.stack([-x if flip_x else x, -y if flip_y else y], axis=-1)
 
     def apply_timing(self, user: bpy.types.ImageUser) -> None:
-        """Set an image user (of a background image or of a texture node)."""
+        """Give the plate's timing to an image user (of a background image or of a texture node)."""
         user.frame_duration = self.frame_duration
         user.frame_start = self.frame_start
         user.frame_offset = self.frame_offset
@@ -86,7 +87,7 @@ class Plate:
 
 
 def drive_offset(user: bpy.types.ImageUser, expression: str) -> None:
-    """Have a simple expression of `frame` drive an image user's offset; empty: nothing."""
+    """Drive an image user's offset by a simple expression of `frame`; by nothing where that is empty."""
     user.driver_remove("frame_offset")
     if expression:
         driver = user.driver_add("frame_offset").driver
@@ -94,7 +95,7 @@ def drive_offset(user: bpy.types.ImageUser, expression: str) -> None:
 
 
 def offset_driver(user: bpy.types.ImageUser) -> str:
-    """The expression that drives an image user's offset; empty where nothing does."""
+    """Return the expression that drives an image user's offset; empty where nothing does."""
     owner = user.id_data
     data = owner.animation_data if owner is not None else None
     curve = data.drivers.find(user.path_from_id("frame_offset")) if data is not None else None
@@ -104,14 +105,14 @@ def offset_driver(user: bpy.types.ImageUser) -> str:
 def load_plate(
     take: Take, timing: Timing | None = None, max_megapixels: float | None = None
 ) -> tuple[Plate | None, list[str]]:
-    """`loading_plate` at once."""
+    """Load a take's picture at once, as `loading_plate` does in steps."""
     return run_to_completion(loading_plate(take, timing, max_megapixels))
 
 
 def loading_plate(
     take: Take, timing: Timing | None = None, max_megapixels: float | None = None
 ) -> Generator[None, None, tuple[Plate | None, list[str]]]:
-    """The take's picture, and what the user should know about it.
+    """Load the take's picture in steps; return it, and what the user should know about it.
 
     `timing` says where the clip's frames lie in the scene's time; without it, on its own frame numbers.
     `max_megapixels` is how large it may be, instead of what the preferences say.
@@ -164,15 +165,15 @@ def loading_plate(
 
 
 def _is_video_dpx(path: Path) -> bool:
-    """True if it is a DPX that holds values as they are shown, all of which Blender takes for linear ones.
-    Film densities it makes linear itself."""
+    """True if the file is a DPX that holds values as they are shown, all of which Blender takes for linear
+    ones; it makes film densities linear itself."""
     with open(path, "rb") as stream:
         head = stream.read(802)
     return head[:4] in (b"SDPX", b"XPDS") and head[801:] not in (b"\1", b"\3")  # SMPTE 268M: transfer
 
 
 def shown_file(take: Take) -> tuple[Path, bool]:
-    """The file that Blender shows, and whether it is a copy, upright, of one that it cannot read."""
+    """Return the file that Blender shows, and whether it is an upright copy of one that it cannot read."""
     copy = copy_path(take.source)
     if copy is not None and is_file(copy):
         return copy, True
@@ -181,7 +182,7 @@ def shown_file(take: Take) -> tuple[Path, bool]:
 
 
 def picture_aspect(take: Take) -> float:
-    """How wide the upright picture is if it is one high, as the scene was seen."""
+    """Return the width of the upright picture over its height, as the scene was seen."""
     return take.width * take.intrinsics.fy / (take.height * take.intrinsics.fx)
 
 
@@ -210,7 +211,8 @@ def _unreadable(path: Path) -> str:
 
 
 def _mismatches(path: Path, size: tuple[int, ...], take: Take) -> list[str]:
-    """Where what Blender shows is not what the capture saw."""
+    """Return a sentence for each point in which the picture that Blender shows is not the one that the
+    capture saw."""
     files = [Path(f) for f in take.source.files]
     if take.source.kind == "sequence" and sequence_numbers(files) != [int(n) for n in take.frame_numbers]:
         return [
@@ -237,8 +239,9 @@ def movie_plate(image: bpy.types.Image, take: Take, timing: Timing) -> Plate:
 
 
 def retimed_plate(image: bpy.types.Image, take: Take, timing: Timing, last: int) -> Plate:
-    """A video of `last` frames at another rate than its own: on every scene frame the picture whose moment is
-    the nearest, as `handfit_core.capturing.retiming.shown_numbers` has it."""
+    """Return the plate of a video of `last` frames at another rate than its own: on every scene frame it
+    shows the picture whose moment is the nearest, as `handfit_core.capturing.retiming.shown_numbers` has
+    it."""
     number, first = int(take.frame_numbers[0]), _first_scene_frame(take, timing)
     start = first - int((number - 1) * timing.scale)
     duration = int((last - 1) * timing.scale) + 1
@@ -249,14 +252,14 @@ def retimed_plate(image: bpy.types.Image, take: Take, timing: Timing, last: int)
 
 
 def _beginning(take: Take, timing: Timing) -> float:
-    """The scene frame of the first picture; a further view's lies between two."""
+    """Return the scene frame of the first picture; a further view's lies between two scene frames."""
     first, exact = _first_scene_frame(take, timing), float(timing.scene_frames(take.frame_numbers[:1])[0])
     return first if abs(exact - first) < _WHOLE else round(exact, 6)
 
 
 def shown_number(take: Take, timing: Timing, frame: int) -> int:
-    """The number of the picture that the plate of a take shows on a scene frame; one that the clip lacks,
-    before its beginning and after its end."""
+    """Return the number of the picture that the plate of a take shows on a scene frame; a number that the
+    clip lacks, before its beginning and after its end."""
     number = int(take.frame_numbers[0])
     if take.source.kind == "video" and timing.scale != 1.0:
         return floor(number + (frame - _beginning(take, timing)) / timing.scale + 0.5)
@@ -268,12 +271,13 @@ def _first_scene_frame(take: Take, timing: Timing) -> int:
 
 
 def path_of(block: Any) -> Path:
-    """Where the file of an image or a movie clip lies."""
+    """Return the path of the file of an image or a movie clip."""
     return Path(bpy.path.abspath(block.filepath, library=block.library)).absolute()
 
 
 def rows_of(image: bpy.types.Image) -> np.ndarray:
-    """(H, W, 4) an image's own values, the first row on top; Blender's first row is the bottom one."""
+    """Return an image's own values, (H, W, 4), with the first row on top; Blender's first row is the bottom
+    one."""
     width, height = image.size
     pixels = np.empty(width * height * 4, dtype=np.float32)
     image.pixels.foreach_get(pixels)
@@ -281,8 +285,8 @@ def rows_of(image: bpy.types.Image) -> np.ndarray:
 
 
 def missing_picture(camera: bpy.types.Object | None) -> str:
-    """The name of the picture that the camera should show and that is not where it was; empty if all is
-    well. Cheap enough for drawing."""
+    """Return the name of the picture that the camera should show and that is not where it was; empty if all
+    is well. Cheap enough for drawing."""
     backgrounds = camera.data.background_images if camera is not None and camera.type == "CAMERA" else ()
     for background in backgrounds:
         image = background.image if background.source == "IMAGE" else None

@@ -52,7 +52,8 @@ from .timing import Timing, check_range, frame_rate, has_rate, in_scene, set_tim
 _T = TypeVar("_T")
 
 _VIEW_DISPLAY_SIZE = 0.1
-"""share of Blender's usual one: either of two cameras may stand in the other's picture, before the hand"""
+"""The size at which a second camera is drawn, as a share of Blender's usual one: either of two cameras may
+stand in the other's picture, before the hand"""
 
 
 @dataclass(frozen=True)
@@ -68,13 +69,13 @@ class BuiltHand:
 
     @property
     def meshes(self) -> tuple[bpy.types.Object, ...]:
-        """What exporters write beside its bones."""
+        """Return the mesh objects that exporters write beside the hand's bones."""
         return (self.mesh,)
 
 
 @dataclass(frozen=True)
 class BuiltTake:
-    """What `build_take` made; everything lies in `collection`."""
+    """The hands, camera and warnings that `build_take` made; everything lies in `collection`."""
 
     collection: bpy.types.Collection
     camera: bpy.types.Object
@@ -85,10 +86,10 @@ class BuiltTake:
 
 @dataclass(frozen=True)
 class BuildOptions:
-    """How a take is built."""
+    """The options by which a take is built into the scene."""
 
     model: str | None = None
-    """Instead of `take.model`, for takes whose model file has moved"""
+    """The hand model, instead of `take.model`, for takes whose model file has moved; None: the take's own"""
     pose_correctives: bool = True
     """True if shape keys fill out bent joints, where the model has any"""
     picture: bool = True
@@ -103,15 +104,16 @@ class BuildOptions:
     wrist: Wrist | None = None
     """How the meshes end; None: by a cap, and by a forearm where a hand has an arm"""
     frame: float | None = None
-    """None: the current one"""
+    """The scene frame at which the take starts; None: the current one"""
     timing: Timing | None = None
-    """Where the clip's frames lie in the scene's time, instead of at `frame` and at its rate"""
+    """Where the clip's frames lie in the scene's time; None: from `frame` on, at the clip's rate"""
     camera: bpy.types.Object | None = None
-    """One that is there already: the hands hang on it, and its lens and the scene's size stay"""
+    """A camera that is there already: the hands hang on it, and its lens and the scene's size stay; None: one
+    is built"""
     data: bytes | None = None
-    """The bytes of the take's file, where the caller has them"""
+    """The bytes of the take's file, where the caller has them; None: the take is compressed anew"""
     max_megapixels: float | None = None
-    """How large the picture behind the hands may be, instead of what the preferences say"""
+    """How large the picture behind the hands may be, in megapixels; None: as the preferences say"""
 
 
 def build_take(take: Take, **options: Any) -> BuiltTake:
@@ -125,7 +127,8 @@ def build_take(take: Take, **options: Any) -> BuiltTake:
 
 
 def building(take: Take, how: BuildOptions = BuildOptions()) -> Generator[float, None, BuiltTake]:
-    """`build_take` in slices of some milliseconds. Yields how much is done, 0..1; returns what was made.
+    """Build a take as `build_take` does, in slices of some milliseconds. Yields how much is done, 0..1;
+    returns what was made.
 
     Closing it early removes what it made. Raises BuildInterrupted where an undo, another file or a
     deletion took something away meanwhile: nothing is left of it, and it can be started again.
@@ -157,8 +160,8 @@ def building(take: Take, how: BuildOptions = BuildOptions()) -> Generator[float,
 
 
 class _Build:
-    """A build in steps, each a method, and what they hand on to each other. Every data-block goes into
-    `made`."""
+    """A build in steps, each of them a method, and the results that the steps hand on to each other; every
+    data-block goes into `made`."""
 
     def __init__(
         self, made: list[bpy.types.ID], take: Take, scene: bpy.types.Scene, how: BuildOptions
@@ -177,8 +180,8 @@ class _Build:
         self._done = 0.0
 
     def steps(self) -> Generator[float | None, None, BuiltTake]:
-        """The work. Yields how much is done, or None where the slice should end: what follows is one long
-        step."""
+        """Build the take. Yields how much is done, or None where the slice should end: the step that follows
+        is a long one."""
         # Read every model before anything is made: a missing file must not leave half a rig behind.
         yield from self._read_models()
         self._choose_times()
@@ -204,7 +207,7 @@ class _Build:
         return BuiltTake(self.collection, self.camera, tuple(self.hands), tuple(self.warnings))
 
     def done(self, more: float) -> float:
-        """Count a step, a curve being one; returns how much of all is done, 0..1."""
+        """Count a step, a curve being one; return how much of all is done, 0..1."""
         self._done += more
         of_correctives = 0.3 * 9 * (NUM_JOINTS - 1)
         tracks = self.take.hands
@@ -212,7 +215,7 @@ class _Build:
         return min(1.0, self._done / (whole or 1.0))
 
     def counting(self, steps: Generator[Any, None, _T]) -> Generator[float, None, _T]:
-        """Go through steps that are not counted, as numbers are fast; returns what they return."""
+        """Go through steps whose numbers are not counted, since they are fast; return their result."""
         return map_yields(steps, lambda: self.done(0))
 
     def _has_correctives(self, side: Side) -> bool:
@@ -238,7 +241,8 @@ class _Build:
             yield None
 
     def _wrist(self, track: HandTrack) -> Wrist:
-        """How a hand's mesh ends. A model without an edge where a cap or a forearm could begin stays open."""
+        """Return how a hand's mesh ends. A model without an edge where a cap or a forearm could begin stays
+        open."""
         wrist = self.how.wrist or ("cap" if track.arm is None else "forearm")
         loaded = self.models[track.side]
         return "open" if with_wrist(loaded, wrist) is loaded else wrist
@@ -276,8 +280,8 @@ class _Build:
         self.collection.objects.link(obj)
 
     def _add_second_view(self) -> Generator[float, None, None]:
-        """The second camera, where it stood, before its own picture; it hangs on the artist's camera where
-        the hands do."""
+        """Build the second camera, where it stood, before its own picture; it hangs on the artist's camera
+        where the hands do."""
         cameras, view = self.captured.cameras, self.captured.view(1)
         assert cameras is not None
         timing = view_timing(self.captured, self.clip)
@@ -352,7 +356,7 @@ class _Build:
         return BuiltHand(track.side, armature, mesh, action, wrist)
 
     def _keep_takes(self) -> Generator[float | None, None, None]:
-        """The collection keeps the take as captured, and beside it the one that was retimed."""
+        """Have the collection keep the take as captured, and beside it the one that was retimed."""
         retimed, data = self.take is not self.captured, self.how.data
         keeping = keeping_take(self.collection, self.captured, data, captured=retimed)
         yield from self.counting(keeping)
@@ -370,7 +374,8 @@ class _Build:
             _describe_hand(hand, self.collection, self.take, index)
 
     def _show(self) -> None:
-        """The scene gets the collection, and where it is matched the take's times, size and camera."""
+        """Link the collection to the scene, which gets the take's times, size and camera where it is
+        matched."""
         how, scene, take = self.how, self.scene, self.take
         if how.camera is not None and self.plate is not None:
             self.warnings += self._show_behind_own(how.camera, self.plate)
@@ -437,8 +442,8 @@ def add_last_hand(collection: bpy.types.Collection, take: Take) -> BuiltHand:
 
 
 def _describe_hand(hand: BuiltHand, collection: bpy.types.Collection, take: Take, index: int) -> None:
-    """Have the armature know which hand it is, and the points that a person has put in place or made to
-    touch, so that they can be dragged on."""
+    """Note on the armature which hand it is, and the points that a person has put in place or made to touch,
+    so that they can be dragged on."""
     describe_hand(hand.armature, collection, take, index, hand.wrist)
     if not has_properties():
         return
@@ -459,7 +464,7 @@ def _describe_hand(hand: BuiltHand, collection: bpy.types.Collection, take: Take
 
 
 _changes = 0
-"""Counts undos, redos and other files"""
+"""How many undos, redos and other files there were since the add-on was registered"""
 
 
 def _count_change(*_args) -> None:
@@ -483,7 +488,7 @@ class ChangeWatch:
 
 
 def _remove(made: Sequence[bpy.types.ID]) -> None:
-    """Take away what is still there of what was made."""
+    """Remove those data-blocks of `made` that are still there."""
     there = []
     for block in made:
         try:
@@ -495,8 +500,8 @@ def _remove(made: Sequence[bpy.types.ID]) -> None:
 
 
 def _rate(scene: bpy.types.Scene, take: Take, matched: bool) -> float:
-    """Frames per second of the scene at which the take plays as fast as it was filmed; 0 for what has no
-    rate, or does not move."""
+    """Return the frames per second of the scene at which the take plays as fast as it was filmed; 0 for a
+    take that has no rate, or does not move."""
     if not has_rate(take) or len(take.frame_numbers) == 1:
         return 0.0
     return take.fps if matched else frame_rate(scene)

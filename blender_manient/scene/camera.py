@@ -14,11 +14,12 @@ from handfit_core.take import Take
 from .background import Plate, picture_aspect
 
 _SENSOR_WIDTH = 36.0
-"""mm. Only the ratio of lens and sensor matters; full frame gives lenses that photographers know"""
+"""Width of the camera's sensor in millimetres. Only the ratio of lens and sensor matters; full frame gives
+lenses that photographers know"""
 _SAME_PLACE = 1e-6
 CAMERA_AT_REST = Matrix.Rotation(math.pi / 2.0, 4, "X")
-"""matrix_world of a capture camera that nobody moved: Blender's cameras look along their own -Z, which this
-turns to +Y, with Z up"""
+"""The matrix_world of a capture camera that nobody moved: Blender's cameras look along their own -Z, which
+this turns to +Y, with Z up"""
 
 
 def build_camera(
@@ -29,7 +30,7 @@ def build_camera(
     scene: bpy.types.Scene | None = None,
     units_per_metre: float = 1.0,
 ) -> bpy.types.Object:
-    """A camera at the world's origin that projects as `take.intrinsics` does, with the plate behind.
+    """Build a camera at the world's origin that projects as `take.intrinsics` does, with the plate behind.
 
     It is not linked to any collection. `frame_scene` sets the scene's half of the projection; where the
     scene keeps its own size, give it as `scene`: the picture's full width is then the frame's.
@@ -55,8 +56,8 @@ def build_camera(
 
 
 def lens_of_camera(camera: bpy.types.Object, scene: bpy.types.Scene) -> tuple[float, float, float]:
-    """(focal length in picture widths, principal point x and y as parts of width and height) of a
-    perspective camera as the scene renders it. y counts downwards. Raises OptionError."""
+    """Return a perspective camera's focal length in picture widths, and its principal point, x and y as parts
+    of width and height, as the scene renders it; y counts downwards. Raises OptionError."""
     data = camera.data
     if data.type != "PERSP":
         raise OptionError(
@@ -82,7 +83,8 @@ def put_before(armature: bpy.types.Object, camera: bpy.types.Object) -> None:
 
 
 def captured_place(take: Take, view: int, units_per_metre: float) -> Matrix:
-    """The matrix of a hand's armature in the frame of the camera of a view, both as they were captured."""
+    """Return the matrix of a hand's armature in the frame of the camera of a view, both as they were
+    captured."""
     camera = CAMERA_AT_REST
     if (cameras := take.cameras) is not None:
         camera = Matrix(axes.camera_in_world(cameras.rotation[view], cameras.translation[view]).tolist())
@@ -91,7 +93,7 @@ def captured_place(take: Take, view: int, units_per_metre: float) -> Matrix:
 
 
 def is_moved(camera: bpy.types.Object) -> bool:
-    """True if a capture camera stands elsewhere than it was built, or moves."""
+    """True if a capture camera stands elsewhere than where it was built, or moves."""
     away = (camera.matrix_world - CAMERA_AT_REST) if camera.animation_data is None else None
     return away is None or max(abs(value) for row in away for value in row) > _SAME_PLACE
 
@@ -108,7 +110,7 @@ def frame_scene(scene: bpy.types.Scene, take: Take, scale: float = 1.0) -> None:
 
 
 def frame_aspect(scene: bpy.types.Scene) -> float:
-    """How wide a scene's frame is if it is one high, as it is seen."""
+    """Return the width of a scene's frame over its height, as it is seen, with the pixel aspect."""
     render = scene.render
     return render.resolution_x * render.pixel_aspect_x / (render.resolution_y * render.pixel_aspect_y)
 

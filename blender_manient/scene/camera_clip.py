@@ -30,7 +30,7 @@ class CameraClip:
     is_solved: bool
     """True if Blender's tracker has solved the camera's motion from the clip"""
     is_shown: bool
-    """True if it is in the camera's background"""
+    """True if the clip is in the camera's background"""
 
     def is_of(self, files: Sequence[str]) -> bool:
         """True if a source of these files is this clip."""
@@ -40,8 +40,8 @@ class CameraClip:
 
 
 def camera_clips(scene: bpy.types.Scene) -> list[CameraClip]:
-    """The clips in the background of the scene's camera, and the solved ones that move it; none of a camera
-    that a capture has built. Cheap enough for drawing."""
+    """Return the clips in the background of the scene's camera, and the solved ones that move it; none of a
+    camera that a capture has built. Cheap enough for drawing."""
     camera = scene.camera
     if camera is None or camera.type != "CAMERA" or is_of_a_capture(camera):
         return []
@@ -60,7 +60,8 @@ def camera_clips(scene: bpy.types.Scene) -> list[CameraClip]:
 
 
 def part_of_frame(scene: bpy.types.Scene, clip: CameraClip) -> tuple[float, float]:
-    """How much of the frame's width and height the clip's picture takes where the scene's camera shows it."""
+    """Return the parts of the frame's width and height that the clip's picture takes where the scene's camera
+    shows it."""
     for block, _, background in _clips(scene, scene.camera):
         if background is None or path_of(block) != clip.path:
             continue
@@ -77,8 +78,8 @@ def part_of_frame(scene: bpy.types.Scene, clip: CameraClip) -> tuple[float, floa
 
 
 def _clips(scene: bpy.types.Scene, camera: bpy.types.Object) -> Iterator[tuple[Any, Any, Any]]:
-    """The movie clip or image, what has its `frame_start` and `frame_offset`, and the background image; None
-    where it is in none."""
+    """Yield the movie clip or image, the settings with its `frame_start` and `frame_offset`, and the
+    background image; None where it is in none."""
     solvers = [each for each in camera.constraints if each.type == "CAMERA_SOLVER" and not each.mute]
     solving = [scene.active_clip if each.use_active_clip else each.clip for each in solvers]
     for background in camera.data.background_images:

@@ -30,7 +30,7 @@ from .timing import Timing, set_timing
 
 
 def captures(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
-    """The collections of a scene that keep a take, by name."""
+    """Return the collections of a scene that keep a take, by name."""
     if not has_properties():  # scripts may build hands without the add-on
         return []
     found = dict.fromkeys(c for c in scene.collection.children_recursive if c.manient.is_capture)
@@ -38,7 +38,7 @@ def captures(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
 
 
 def active_capture(scene: bpy.types.Scene) -> bpy.types.Collection | None:
-    """The capture that the scene looks at; None where there is none."""
+    """Return the capture that the scene looks at; None where there is none."""
     found = captures(scene)
     if not found:
         return None
@@ -52,21 +52,21 @@ def active_capture(scene: bpy.types.Scene) -> bpy.types.Collection | None:
 
 
 def own_camera(capture: bpy.types.Collection) -> bpy.types.Object | None:
-    """The camera that was built with a capture; None where it has the artist's, or the camera was deleted or
-    moved to another collection."""
+    """Return the camera that was built with a capture; None where it has the artist's, or the camera was
+    deleted or moved to another collection."""
     camera = capture.manient.camera
     return camera if camera in cameras_of(capture) else None
 
 
 def cameras_of(capture: bpy.types.Collection) -> list[bpy.types.Object]:
-    """The cameras that were built with a capture, one for each view, without those that were deleted or moved
-    to another collection."""
+    """Return the cameras that were built with a capture, one for each view, without those that were deleted
+    or moved to another collection."""
     kept = capture.manient
     return [c for c in (kept.camera, kept.view_camera) if c is not None and c.name in capture.objects]
 
 
 def other_camera(scene: bpy.types.Scene, capture: bpy.types.Collection) -> bpy.types.Object:
-    """The capture's camera that the scene does not look through; of two of them the first view's."""
+    """Return the capture's camera that the scene does not look through; of two of them the first view's."""
     return next(camera for camera in cameras_of(capture) if camera != scene.camera)
 
 
@@ -101,7 +101,7 @@ def becomes_active(scene: bpy.types.Scene, choice: Choice, matched: bool) -> boo
 
 
 def is_shown(capture: bpy.types.Collection, layer: bpy.types.ViewLayer) -> bool:
-    """True if viewports of a view layer show the collection."""
+    """True if viewports of a view layer show the capture's collection."""
     return any(part.collection == capture and seen for part, seen in _parts(layer.layer_collection))
 
 
@@ -176,7 +176,8 @@ def remove(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
 
 
 def verdict(capture: bpy.types.Collection) -> Verdict | None:
-    """How well the views of a capture agree; None where it has one, or its take is damaged."""
+    """Return how well the views of a capture agree; None where it has no such verdict, or its take is
+    damaged."""
     try:
         return kept_take(capture).verdict
     except TakeError:
@@ -184,7 +185,7 @@ def verdict(capture: bpy.types.Collection) -> Verdict | None:
 
 
 def in_words(scene: bpy.types.Scene, capture: bpy.types.Collection) -> str:
-    """How many hands a capture has, and how good the worst of them is, for a list."""
+    """Return how many hands a capture has, and how good the worst of them is, as words for a list."""
     hands = [
         hand
         for thing in captured_hands(scene)
@@ -202,14 +203,14 @@ def in_words(scene: bpy.types.Scene, capture: bpy.types.Collection) -> str:
 
 
 def _layer_of(scene: bpy.types.Scene) -> bpy.types.ViewLayer:
-    """The view layer of a scene that the window shows, else its first."""
+    """Return the view layer of a scene that the window shows, else its first."""
     return bpy.context.view_layer if bpy.context.scene == scene else scene.view_layers[0]
 
 
 def _parts(
     part: bpy.types.LayerCollection, seen: bool = True
 ) -> Iterator[tuple[bpy.types.LayerCollection, bool]]:
-    """All below a layer's collection, and whether viewports show it."""
+    """Yield all collections below a layer's collection, each with whether viewports show it."""
     for child in part.children:
         hidden = child.exclude or child.hide_viewport or child.collection.hide_viewport
         yield child, seen and not hidden
@@ -232,8 +233,8 @@ def _show(capture: bpy.types.Collection, scene: bpy.types.Scene) -> None:
 
 
 def _frame(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
-    """Give the scene the capture's size, and the time of one that lies on its own frames, where these are
-    other footage's now."""
+    """Give the scene the capture's size, and the time of a capture that lies on its own frames, where the
+    scene has those of other footage now."""
     try:
         take = kept_take(capture)
         seen = take.view(1) if scene.camera == capture.manient.view_camera and take.cameras else take
@@ -253,8 +254,8 @@ def _frame(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
 
 
 def _follow_selection(scene: bpy.types.Scene, capture: bpy.types.Collection | None) -> None:
-    """Have a hand of this capture be the active object, where that is none of it nor a visible one of the
-    artist's."""
+    """Make a hand of this capture the active object, unless the active object is one of its hands already or
+    a visible one of the artist's."""
     layer = _layer_of(scene)
     active = layer.objects.active
     if capture is None or (active is not None and capture in active.users_collection):
@@ -315,8 +316,8 @@ def _delete(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
 
 
 def _plate_taken(capture: bpy.types.Collection) -> list[bpy.types.Image]:
-    """Take the picture that a capture has put behind the artist's camera from there, unless another capture
-    is seen before it, which has it from then on. Returns it where nobody else uses it."""
+    """Take the picture that a capture has put behind the artist's camera away from there, unless another
+    capture is seen before it, which has it from then on. Return the image where nobody else uses it."""
     plate, camera = capture.manient.plate, capture.manient.camera
     if plate is None or camera is None or camera.type != "CAMERA":  # any file can name another object
         return []

@@ -49,7 +49,7 @@ MARK = "manient_arms"
 """Custom property of an action that was made for captured arms"""
 
 _VERTICES = 6000
-"""how many of a character's vertices are looked at, about"""
+"""About how many of a character's vertices are looked at"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class Arm:
 
 
 def arm_of(armature: bpy.types.Object, hand_map: HandMap) -> Arm:
-    """The arm of a character's hand. Raises HandModelError where it hangs on none."""
+    """Return the arm of a character's hand. Raises HandModelError where the hand hangs on none."""
     bones, other = bones_of(armature), None
     with contextlib.suppress(HandModelError):
         other = hand_map_of(armature, other_side(hand_map.side)).bones[0]
@@ -176,37 +176,38 @@ def keying_arm(
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """What bones show on M frames, seen from the character's chest at rest."""
+    """The poses that bones show on M frames, seen from the character's chest at rest."""
 
     pose: Mapping[str, np.ndarray]
-    """(M, 4, 4) by bone; of no bone, the armature's space itself"""
+    """By bone, (M, 4, 4) its posed matrix; of no bone, that of the armature's space itself"""
     rest: Mapping[str, np.ndarray]
-    """(4, 4) by bone, in the armature's space"""
+    """By bone, (4, 4) its rest matrix in the armature's space"""
     parents: Mapping[str, str]
     at_rest: bool = False
     """True if nobody knows what the bones do without the arm, so that they count as resting"""
 
     def carried(self, name: str) -> np.ndarray:
-        """(M, 4, 4) where a bone would lie if it rested."""
+        """Return (M, 4, 4), where a bone would lie if it rested relative to its parent."""
         parent = self.parents[name]
         if not parent:
             return self.pose[""] @ self.rest[name]
         return self.pose[parent] @ np.linalg.inv(self.rest[parent]) @ self.rest[name]
 
     def placed(self, name: str, point: np.ndarray) -> np.ndarray:
-        """(M, 3) where a point of the rest pose (3,) is that a bone carries."""
+        """Return (M, 3), where the bone carries a point (3,) of the rest pose."""
         carrying = self.pose[name] @ np.linalg.inv(self.rest[name]) if name else self.pose[""]
         return carrying[:, :3, :3] @ point + carrying[:, :3, 3]
 
     def own(self, armature: bpy.types.Object, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """What a bone does already: quaternions (M, 4), locations (M, 3), relative to its rest."""
+        """Return what a bone does without the arm: quaternions (M, 4) as (w, x, y, z) and locations (M, 3),
+        relative to its rest."""
         basis = self.basis(armature, name, self.pose[name])
         if self.at_rest:
             basis = np.broadcast_to(np.eye(4), basis.shape)
         return rotmat_to_quat(rotations_of(basis)), basis[:, :3, 3]
 
     def basis(self, armature: bpy.types.Object, name: str, stands: np.ndarray) -> np.ndarray:
-        """(M, 4, 4) what a bone's channels have where it stands so (M, 4, 4)."""
+        """Return (M, 4, 4), the values of a bone's channels where it stands as (M, 4, 4) says."""
         bone, parent, found = armature.data.bones[name], self.parents[name], np.empty(stands.shape)
         for row, back in enumerate(np.linalg.inv(self.pose[""])):
             above = {}
@@ -221,7 +222,7 @@ class _Shown:
 def _sampling(
     armature: bpy.types.Object, arm: Arm, frames: np.ndarray, trunk: Sequence[str]
 ) -> Generator[float, None, _Shown]:
-    """What an arm's bones show, those that carry them, and those of the trunk, in steps."""
+    """Sample, in steps, what an arm's bones show, those that carry them, and those of the trunk."""
     bones, names = armature.data.bones, dict.fromkeys([*trunk, *arm.controls.keyed, arm.target.bones[0]])
     if arm.controls.swivel:
         names[bones[arm.controls.swivel].parent.name] = None
@@ -241,7 +242,7 @@ def _sampling(
 
 
 def _capsules(armature: bpy.types.Object, target: TargetArm) -> Capsules:
-    """The trunk and the head of a character, by the vertices of its meshes at rest."""
+    """Return the trunk and the head of a character as capsules, by the vertices of its meshes at rest."""
     bones, points, owners = bones_of(armature), [], []
     meshes = CharacterObjects.of(armature).meshes
     step = max(1, sum(len(mesh.data.vertices) for mesh in meshes) // _VERTICES)
@@ -257,13 +258,13 @@ def _capsules(armature: bpy.types.Object, target: TargetArm) -> Capsules:
 
 
 def unapplied_users(armature: bpy.types.Object) -> list:
-    """What uses an action for an armature that was not made for captured arms."""
+    """Return the users of an armature's actions that were not made for captured arms."""
     return [user for user in users_of(armature, acting=True) if MARK not in user.action]
 
 
 def _moved_range(armature: bpy.types.Object, names: Sequence[str]) -> tuple[float, float] | None:
-    """First and last frame that other actions move any of these bones on, the scene's range at least; None
-    where none does."""
+    """Return the first and last frame on which other actions move any of these bones, the scene's range at
+    least; None where none does."""
     starts = tuple(f"{bone_path(name)}." for name in names)
     spans = []
     for user in unapplied_users(armature):
@@ -289,7 +290,7 @@ def _without_applied(armature: bpy.types.Object) -> contextlib.AbstractContextMa
 
 
 def _matrices(turns: np.ndarray, places: np.ndarray | None = None) -> np.ndarray:
-    """(M, 4, 4) of rotations (M, 3, 3) and places (M, 3)."""
+    """Return matrices (M, 4, 4) of rotations (M, 3, 3) and places (M, 3)."""
     found = np.broadcast_to(np.eye(4), (len(turns), 4, 4)).copy()
     found[:, :3, :3] = turns
     if places is not None:

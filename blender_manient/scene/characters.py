@@ -35,27 +35,28 @@ class CharacterObjects:
 
     @classmethod
     def of(cls, armature: bpy.types.Object) -> CharacterObjects:
-        """With what it deforms or carries in the open scene and renders show: proxies and cages are no part
-        of it."""
+        """Return the character with what it deforms or carries in the open scene and renders show: proxies
+        and cages are no part of it."""
         shown = (o for o in bpy.context.scene.objects if o.type == "MESH" and not o.hide_render)
         return cls(armature, tuple(o for o in shown if armature in (*_deforming(o), o.parent)))
 
 
 def characters_in(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The armatures of a scene that are no captured hands, by name."""
+    """Return the armatures of a scene that are no captured hands, by name."""
     return sorted(filter(_is_character, scene.objects), key=lambda o: o.name)
 
 
 def only_character(armatures: Sequence[bpy.types.Object]) -> bpy.types.Object | None:
-    """The only one of some armatures, or the only one that deforms or carries a mesh; None for several."""
+    """Return the only one of some armatures, or the only one that deforms or carries a mesh; None for
+    several."""
     if len(armatures) > 1:
         armatures = [one for one in armatures if CharacterObjects.of(one).meshes] or armatures
     return armatures[0] if len(armatures) == 1 else None
 
 
 def character_of(obj: bpy.types.Object | None) -> bpy.types.Object | None:
-    """The character's armature that an object is, or that deforms or carries it, or that it shows an instance
-    of, as objects do that link a character; None for captured hands and all others."""
+    """Return the character's armature that an object is, or that deforms or carries it, or that it shows an
+    instance of, as objects do that link a character; None for captured hands and all others."""
     if obj is None:
         return None
     instanced = obj.instance_collection.all_objects if obj.instance_collection is not None else ()
@@ -64,13 +65,13 @@ def character_of(obj: bpy.types.Object | None) -> bpy.types.Object | None:
 
 
 def active_character(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The character that the artist works on: the active object's, else one that is selected."""
+    """Return the character that the artist works on: the active object's, else one that is selected."""
     chosen = [context.active_object, *context.selected_objects]
     return next((c for c in map(character_of, chosen) if c is not None), None)
 
 
 def why_not_reachable(armature: bpy.types.Object) -> str | None:
-    """Why a character cannot get motion at all: a sentence; None where it can."""
+    """Return why a character cannot get motion at all, a sentence; None where it can."""
     if armature.library is not None or not armature.is_editable:
         return (
             "This character is linked from another file: make a library override of it "
@@ -84,7 +85,8 @@ def why_not_reachable(armature: bpy.types.Object) -> str | None:
 
 
 def why_not_written(armature: bpy.types.Object, scene: bpy.types.Scene) -> str | None:
-    """Why a character cannot be written to a file: a sentence; None where it can. One that is linked can."""
+    """Return why a character cannot be written to a file, a sentence; None where it can, also for one that is
+    linked."""
     if armature.name not in scene.objects:
         return (
             "This character is shown as an instance of a collection: make a library override of it (Object > "
@@ -104,29 +106,31 @@ def _why_mirrored(armature: bpy.types.Object) -> str | None:
 
 
 def kept_map(armature: bpy.types.Object, side: Side) -> HandMap | None:
-    """The table that the artist has made, or confirmed, for a hand; None for none, and for a damaged one."""
+    """Return the table that the artist has made, or confirmed, for a hand; None for none, and for a damaged
+    one."""
     kept = _read(getattr(armature.manient.character, side).hand_map) if has_properties() else None
     return kept if kept is not None and kept.side == side else None
 
 
 def is_damaged(armature: bpy.types.Object, side: Side) -> bool:
-    """True if a table is kept for a hand that cannot be read."""
+    """True if the table that is kept for a hand cannot be read."""
     return bool(getattr(armature.manient.character, side).hand_map) and kept_map(armature, side) is None
 
 
 def keep_map(armature: bpy.types.Object, hand_map: HandMap) -> None:
-    """Keep a table on the armature."""
+    """Keep the table of a hand's bones on the armature."""
     getattr(armature.manient.character, hand_map.side).hand_map = hand_map.to_json()
 
 
 def rig_used(armature: bpy.types.Object, side: Side) -> SavedRig | None:
-    """The user's saved rig that says which bones a hand is; None where a kept table does, or none fits."""
+    """Return the user's saved rig that says which bones a hand is; None where a kept table does, or none
+    fits."""
     return None if kept_map(armature, side) is not None else fitting_rig(armature.data.bones.keys(), side)
 
 
 def hand_map_of(armature: bpy.types.Object, side: Side) -> HandMap:
-    """The kept table of a hand, else that of a saved rig that fits, else the one that is recognised. Raises
-    HandModelError."""
+    """Return the kept table of a hand, else that of a saved rig that fits, else the one that is recognised.
+    Raises HandModelError."""
     rig = rig_used(armature, side)
     kept = kept_map(armature, side) if rig is None else rig.of(side)
     if kept is not None:
@@ -136,7 +140,7 @@ def hand_map_of(armature: bpy.types.Object, side: Side) -> HandMap:
 
 
 def table_of(armature: bpy.types.Object, side: Side) -> HandMap:
-    """The kept or recognised table of a hand, for display; an empty one where there is neither."""
+    """Return the kept or recognised table of a hand, for display; an empty one where there is neither."""
     try:
         return hand_map_of(armature, side)
     except HandModelError:
@@ -144,9 +148,9 @@ def table_of(armature: bpy.types.Object, side: Side) -> HandMap:
 
 
 def recognised(armature: bpy.types.Object, side: Side, reported: tuple[str, ...] = ()) -> Found:
-    """The hand that is recognised by its bones, kept because panels ask at every redraw; recognised anew
-    where bones were moved or renamed, and where `reported`, the rig's troubles, are others, as after a switch
-    from IK to FK. Raises HandModelError."""
+    """Return the hand that is recognised by its bones, kept because panels ask at every redraw; recognised
+    anew where bones were moved or renamed, and where `reported`, the rig's troubles, are others, as after a
+    switch from IK to FK. Raises HandModelError."""
     bones = armature.data.bones
     heads = np.empty((len(bones), 3), dtype=np.float32)
     bones.foreach_get("head_local", heads.ravel())
@@ -166,7 +170,8 @@ def _recognised(uid: int, side: Side, _names: Any, _heads: Any, _reported: Any) 
 
 
 def sure_map_of(armature: bpy.types.Object, side: Side) -> HandMap:
-    """`hand_map_of`, where nobody is there to be asked. Raises HandModelError for what may be no hand."""
+    """Return what `hand_map_of` does, where nobody is there to be asked. Raises HandModelError for what may
+    be no hand."""
     hand_map = hand_map_of(armature, side)
     taught = kept_map(armature, side) is not None or rig_used(armature, side) is not None
     if not taught and recognised(armature, side).sure < DOUBTFUL:
@@ -178,7 +183,8 @@ def sure_map_of(armature: bpy.types.Object, side: Side) -> HandMap:
 
 
 def without_keys(armature: bpy.types.Object, hand_map: HandMap) -> dict[str, list[str]]:
-    """The deforming bones of a hand that get no keys, by why not; without those that follow others."""
+    """Return the deforming bones of a hand that get no keys, by the reason; without those that follow
+    others."""
     bones = armature.data.bones
     if hand_map.bones[0] not in bones:
         return {}
@@ -189,13 +195,13 @@ def without_keys(armature: bpy.types.Object, hand_map: HandMap) -> dict[str, lis
 
 @functools.lru_cache(maxsize=32)
 def _left_out(uid: int, hand_map: HandMap, _names: Any) -> dict[str, list[str]]:
-    """Kept, because panels ask at every redraw."""
+    """Return `without_keys` from a cache, because panels ask at every redraw."""
     armature = next(obj for obj in bpy.data.objects if obj.session_uid == uid)
     return left_out(bones_of(armature), hand_map)
 
 
 def said_without_keys(found: dict[str, list[str]]) -> str:
-    """What `without_keys` found, as a sentence; empty where it found nothing."""
+    """Return the bones that `without_keys` found, as a sentence; empty where it found none."""
     some = {
         why: ", ".join([*names[:3], *(["..."] if len(names) > 3 else [])]) for why, names in found.items()
     }
@@ -203,8 +209,8 @@ def said_without_keys(found: dict[str, list[str]]) -> str:
 
 
 def recognise_again(armature: bpy.types.Object, side: Side) -> Found:
-    """Look anew, and let go of the kept table, unless nothing is recognised, which raises HandModelError.
-    Where a saved rig fits, what was found is kept instead of it."""
+    """Look for a hand's bones anew, and let go of the kept table, unless nothing is recognised, which raises
+    HandModelError. Where a saved rig fits, what was found is kept instead of it."""
     _recognised.cache_clear()
     found = recognised(armature, side)
     getattr(armature.manient.character, side).hand_map = ""
@@ -214,9 +220,9 @@ def recognise_again(armature: bpy.types.Object, side: Side) -> Found:
 
 
 def source_of(armature: bpy.types.Object, side: Side, context: bpy.types.Context) -> CapturedHand | None:
-    """Which captured hand a character's hand follows: the chosen one, else a selected one of that side, else
-    the only one of it that is shown, else the scene's only one; None for none. Raises OptionError where there
-    are several, and where the chosen one has lost its take."""
+    """Return the captured hand that a character's hand follows: the chosen one, else a selected one of that
+    side, else the only one of it that is shown, else the scene's only one; None for none. Raises OptionError
+    where there are several, and where the chosen one has lost its take."""
     chosen = getattr(armature.manient.character, side).source
     if chosen is not None:
         hand = hand_of(chosen)
@@ -239,7 +245,8 @@ def source_of(armature: bpy.types.Object, side: Side, context: bpy.types.Context
 
 
 def sources_of(armature: bpy.types.Object, context: bpy.types.Context) -> dict[Side, CapturedHand]:
-    """The captured hand of each of a character's hands that gets motion. Raises OptionError."""
+    """Return, for each side of a character's hands that gets motion, the captured hand. Raises
+    OptionError."""
     found: dict[Side, CapturedHand] = {}
     for side in SIDES:
         hand = source_of(armature, side, context) if getattr(armature.manient.character, side).use else None
@@ -251,8 +258,9 @@ def sources_of(armature: bpy.types.Object, context: bpy.types.Context) -> dict[S
 def hands_to_move(
     armature: bpy.types.Object, context: bpy.types.Context
 ) -> list[tuple[HandMap, CapturedHand]]:
-    """A character's hands, and the captured hand that each of them follows. A hand that it lacks is
-    left out, unless its source was chosen. Raises OptionError and HandModelError where none is left."""
+    """Return a character's hands, each with the captured hand that it follows. A hand that the character
+    lacks is left out, unless its source was chosen. Raises OptionError and HandModelError where none is
+    left."""
     found, lacking = [], None
     for side, hand in sources_of(armature, context).items():
         try:

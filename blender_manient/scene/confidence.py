@@ -40,14 +40,14 @@ from .corrections import readable_corrections
 from .store import CapturedHand, captured_hands, hand_of, rows_at, scene_frames
 
 _CORRECTED: Final = 0.5
-"""So much of a correction makes the frame the artist's"""
+"""The weight of a correction, 0..1, from which on a frame counts as the artist's"""
 _BONE_LEVELS: Final = (0.02, 0.05, 0.10)
-"""Distance of a bone from the picture over the hand's length that is green, yellow and red: of all keypoints
-of a good capture half are nearer than the first, and nine in ten nearer than the second"""
+"""Distances of a bone from the picture, over the hand's length, that are shown green, yellow and red: of all
+keypoints of a good capture half are nearer than the first, and nine in ten nearer than the second"""
 
 UNSEEN_COLOR: Final = (0.35, 0.35, 0.35)
 _COLORS: Final = np.array([(0.10, 0.70, 0.20), (0.95, 0.80, 0.10), (0.90, 0.12, 0.08)])
-"""sRGB of what is good, fair and poor"""
+"""The sRGB colours of good, fair and poor"""
 
 _following = False
 """True if some hand shows its colours"""
@@ -59,25 +59,25 @@ class Errors:
 
     scale: Scale
     frames: np.ndarray
-    """(T,)"""
+    """(T,) the scene frames"""
     bones: np.ndarray
-    """(T, 16) in MANO's order"""
+    """(T, 16) how far each bone is off, in MANO's order"""
     bone_levels: tuple[float, float, float]
-    """the errors of bones that are green, yellow and red"""
+    """The errors of bones that are shown green, yellow and red"""
     doubtful: np.ndarray
-    """(T,) bool"""
+    """(T,) bool: frames whose pose may well be wrong"""
     known: bool
     """True if anybody can tell how far off the hand was captured"""
 
     @property
     def mean(self) -> float | None:
-        """The mean of the frames' errors that are not NaN; None where all are."""
+        """Return the mean of the frames' errors that are not NaN; None where all are."""
         known = self.frames[np.isfinite(self.frames)]
         return float(known.mean()) if len(known) else None
 
 
 def errors_of(hand: CapturedHand) -> Errors:
-    """The errors of a captured hand, kept once they were computed."""
+    """Return the errors of a captured hand, kept once they were computed."""
     return _errors(hand.take, hand.track, readable_corrections(hand.armature))
 
 
@@ -107,13 +107,15 @@ def _errors(take: Take, track: HandTrack, field: CorrectionField) -> Errors:
 
 @lru_cache(maxsize=8)
 def errors_by_view(take: Take, track: HandTrack) -> tuple[float, ...]:
-    """`view_errors`, kept once they were computed."""
+    """Return the result of `view_errors` for a take's hand, kept once it was computed."""
     return view_errors(take, track)
 
 
 def bone_errors(take: Take, track: HandTrack) -> np.ndarray:
-    """(T, 16) mean distance of each bone's ends from their detected keypoints, over the hand's length in the
-    picture; NaN in frames where the hand was not detected. A finger's bone has two ends, the wrist's six."""
+    """Return (T, 16), the mean distance of each bone's ends from their detected keypoints, over the hand's
+    length in the picture; NaN in frames where the hand was not detected.
+
+    A finger's bone has two ends, the wrist's six."""
     points = np.asarray(track.joints_3d)
     measured = np.asarray(track.detected, dtype=bool)
     errors = np.full((len(points), NUM_JOINTS), np.nan)
@@ -127,7 +129,8 @@ def bone_errors(take: Take, track: HandTrack) -> np.ndarray:
 
 
 def colors_of(errors: np.ndarray, levels: tuple[float, float, float]) -> np.ndarray:
-    """(...,) errors -> (..., 3) colours, sRGB 0..1; `levels`: what is green, yellow and red."""
+    """Return the sRGB colours (..., 3), 0..1, of errors (...,); `levels` are the errors of green, yellow and
+    red."""
     colors = np.stack([np.interp(errors, levels, _COLORS[:, i]) for i in range(3)], axis=-1)
     colors[np.isnan(errors)] = UNSEEN_COLOR
     return colors
@@ -214,7 +217,7 @@ def _on_frame(scene: bpy.types.Scene, *_args) -> None:
 
 
 def _on_change(*_args) -> None:
-    """Another file, or an undo: other hands may be shown, at another frame."""
+    """Colour bones anew after another file or an undo: other hands may be shown, at another frame."""
     _follow()
     if bpy.context.scene is not None:
         _refresh(bpy.context.scene)
@@ -227,7 +230,7 @@ def _follow() -> None:
 
 
 def _ends_of_bones() -> tuple[list[int], ...]:
-    """Per bone the keypoints at its ends, in MANO's joint order."""
+    """Return for each bone, in MANO's joint order, the indices of the keypoints at its ends."""
     keypoint = {source: k for k, source in enumerate(KEYPOINT_SOURCE)}
     tails = {keypoint[j]: keypoint[j] + 1 for j in range(1, NUM_JOINTS)}  # the next one along the finger
     assert all(PARENTS[j] == 0 or tails[keypoint[PARENTS[j]]] == keypoint[j] for j in range(1, NUM_JOINTS))
@@ -257,20 +260,20 @@ _END = " End"
 
 
 def doubtful_ranges(hand: CapturedHand) -> list[tuple[int, int]]:
-    """First and last scene frame of each run of frames whose pose may well be wrong, in order."""
+    """Return the first and last scene frame of each run of frames whose pose may well be wrong, in order."""
     return _ranges(hand, errors_of(hand).doubtful)
 
 
 def filled_ranges(hand: CapturedHand) -> list[tuple[int, int]]:
-    """First and last scene frame of each gap that was bridged, in order."""
+    """Return the first and last scene frame of each gap that was bridged, in order."""
     return _ranges(hand, hand.track.filled)
 
 
 def next_doubtful(hand: CapturedHand, frame: int, direction: Direction) -> int | None:
-    """Where the nearest doubtful range after (or before) scene frame `frame` begins; None: there is none.
+    """Return the scene frame where the nearest doubtful range after (or before) scene frame `frame` begins;
+    None where there is none.
 
-    From within a range, the way back leads to its own first frame.
-    """
+    From within a range, the way back leads to its own first frame."""
     firsts = [first for first, _ in doubtful_ranges(hand)]
     if direction == "NEXT":
         return next((first for first in firsts if first > frame), None)
@@ -308,7 +311,7 @@ def is_marked(scene: bpy.types.Scene, hand: CapturedHand) -> bool:
 
 
 def _wanted(hand: CapturedHand) -> set[tuple[int, str]]:
-    """(scene frame, name) of the hand's markers."""
+    """Return the hand's markers, (scene frame, name) each."""
     markers = set()
     for name, ranges in zip(_names(hand)[:2], (doubtful_ranges(hand), filled_ranges(hand)), strict=True):
         for first, last in ranges:

@@ -26,7 +26,7 @@ from .sampling import of_bones, sampled_pose, shown_now
 from .store import CapturedHand, timing_of
 
 _SAME = 1e-5
-"""parts of a quaternion, and metres. What controls change by less they do not change"""
+"""Parts of a quaternion, and metres: what controls change by less they do not change"""
 
 
 def add_controls(hand: CapturedHand) -> None:
@@ -71,26 +71,27 @@ def bake_controls(hand: CapturedHand) -> None:
 
 
 def shown_keys(rig: Rig) -> PoseKeys:
-    """A rig's keys with what its controls do: those of the bones that animated or constrained controls move
-    on every frame, all others where they are."""
+    """Return a rig's keys with what its controls do baked in: on every frame for bones that animated or
+    constrained controls move, on their own frames for all others."""
     return _shown_keys(rig)[0] if controls.in_use(rig.armature) else read_pose_keys(rig)
 
 
 def shown_pose(rig: Rig, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`pose_at` with what the controls do."""
+    """Return what `pose_at` returns on these scene frames, with what the controls do added."""
     return sampled_pose(rig, frames) if controls.in_use(rig.armature) else pose_at(rig, frames)
 
 
 def rotations_now(rig: PosedBones) -> np.ndarray:
-    """`displayed_pose` with what the controls do."""
+    """Return the bones' present rotations, (B, 4) quaternions as (w, x, y, z), with what the controls do
+    added."""
     if not controls.in_use(rig.armature):
         return displayed_pose(rig)
     return of_bones(rig, shown_now(rig.armature))[0][0]
 
 
 def _shown_keys(rig: Rig) -> tuple[PoseKeys, np.ndarray, bool]:
-    """A rig's keys with what its controls do, (16,) bool of the bones that controls turn, and whether they
-    move the wrist."""
+    """Return a rig's keys with what its controls do baked in, on whole frames too where controls move; (16,)
+    bool: which bones controls turn; and whether controls move the wrist."""
     keys = read_pose_keys(rig)
     frames, moving = keys.frames, controls.are_moving(rig.armature)
     if moving:

@@ -52,36 +52,36 @@ MARK = "manient_corrections"
 """An action's custom property: slot handle (0 before Blender 4.4) -> the corrections that its keys hold, as
 JSON"""
 _IDLE = 2e-3
-"""radians and metres. A key that is no further from the line between its neighbours says nothing"""
+"""Radians and metres: a key that is no further from the line between its neighbours says nothing"""
 _SNAP = 2e-3
-"""source frames. Keys' frames are not exact to the last digit"""
+"""Source frames within which keys are the same; keys' frames are not exact to the last digit"""
 
 
 def timing_of(armature: bpy.types.Object) -> Timing:
-    """Where the source frames of the hand's capture lie in the scene."""
+    """Return where the source frames of the hand's capture lie in the scene."""
     capture = armature.manient.capture
     return store.timing_of(capture) if capture is not None else Timing()
 
 
 def corrected_places(armature: bpy.types.Object) -> np.ndarray:
-    """(N,) the scene frames with a correction, which may lie between whole ones; none where corrections
-    cannot be read."""
+    """Return the scene frames (N,) with a correction, which may lie between whole ones; none where
+    corrections cannot be read."""
     frames = readable_corrections(armature).corrected
     return timing_of(armature).scene_frames(np.array(frames, dtype=np.float64))
 
 
 def corrected_frames(armature: bpy.types.Object) -> list[int]:
-    """The scene frames with a correction, rounded and increasing, for drawing."""
+    """Return the scene frames with a correction, rounded and increasing, for drawing."""
     return [round(f) for f in corrected_places(armature).tolist()]
 
 
 def corrections_of(armature: bpy.types.Object) -> CorrectionField:
-    """The hand's corrections. Raises TakeError where they cannot be read."""
+    """Return the hand's corrections. Raises TakeError where they cannot be read."""
     return _read(corrections_text(armature))
 
 
 def readable_corrections(armature: bpy.types.Object) -> CorrectionField:
-    """The hand's corrections; none where they cannot be read."""
+    """Return the hand's corrections; none where they cannot be read."""
     try:
         return corrections_of(armature)
     except TakeError:
@@ -98,7 +98,7 @@ def _read(text: str) -> CorrectionField:
 
 
 def corrections_text(armature: bpy.types.Object) -> str:
-    """The corrections that the hand's motion holds, as JSON; empty where there are none."""
+    """Return the corrections that the hand's motion holds, as JSON; empty where there are none."""
     user = motion_user(armature)
     return "" if user is None else _text(user.action, action_slot(user))
 
@@ -121,8 +121,8 @@ def _keep(action: bpy.types.Action, slot: Any, field: CorrectionField) -> None:
 
 
 def check_writable(armature: bpy.types.Object) -> None:
-    """Raises OptionError where corrections cannot be put into the hand's keys, HandModelError where it
-    lacks bones."""
+    """Raise OptionError where corrections cannot be put into the hand's keys, HandModelError where it lacks
+    bones."""
     check_keyable(armature)
     check_unlocked(rig_of(armature))
 
@@ -221,8 +221,8 @@ def clear_corrections(armature: bpy.types.Object, frames: Iterable[float] | None
 
 
 def displaced(armature: bpy.types.Object) -> list[float]:
-    """The corrected source frames whose keys are not the corrected ones any more: keys were moved to other
-    frames, or another pose was keyed over them. Raises TakeError."""
+    """Return the corrected source frames whose keys are not the corrected ones any more: keys were moved to
+    other frames, or another pose was keyed over them. Raises TakeError."""
     field = corrections_of(armature)
     return [g for g, *pose in _keyed_poses(armature, field) if not field.corrections[g].is_in(*pose)]
 
@@ -270,8 +270,8 @@ def change_corrections(used: Iterable[tuple[Any, Any]], change: Callable[[Correc
 
 @contextlib.contextmanager
 def adding_to_keys(armature: bpy.types.Object, used: Iterable[tuple[Any, Any]]) -> Iterator[None]:
-    """Within, something is added on purpose to the keys of these (action, slot): corrections that were known
-    by their keys' poses are known by the new ones afterwards."""
+    """Have something be added within on purpose to the keys of these (action, slot): corrections that were
+    known by their keys' poses are known by the new ones afterwards."""
     known: list[tuple[tuple[Any, Any], CorrectionField, set[float]]] = []
     for user in used:
         with contextlib.suppress(TakeError):
@@ -287,8 +287,8 @@ def adding_to_keys(armature: bpy.types.Object, used: Iterable[tuple[Any, Any]]) 
 
 @contextlib.contextmanager
 def corrections_carried(armature: bpy.types.Object) -> Iterator[None]:
-    """Within, the armature gets another action. Frames that are corrected otherwise in that one get the poses
-    and corrections that they have now."""
+    """Carry corrections over to another action that the armature gets within. Frames that are corrected
+    otherwise in that one get the poses and corrections that they have now."""
     field = readable_corrections(armature)
     held = [(g, *pose) for g, *pose in _keyed_poses(armature, field) if field.corrections[g].is_in(*pose)]
     yield
@@ -315,7 +315,7 @@ def _keyed_poses(
 
 
 def without_field(armature: bpy.types.Object, keys: PoseKeys) -> PoseKeys:
-    """The keys as they would be without the hand's corrections. Raises TakeError."""
+    """Return the keys as they would be without the hand's corrections. Raises TakeError."""
     field = corrections_of(armature)
     places = _snapped(timing_of(armature).source_frames(keys.frames), field.frames)
     turned, moved = field.at(places)
@@ -393,7 +393,7 @@ def _key_ends(
 
 
 def _snapped(places: np.ndarray, frames: np.ndarray) -> np.ndarray:
-    """Places (N,) of keys, on those frames that are as good as the same."""
+    """Return the frames (N,) of keys, those that are as good as one of `frames` replaced by it."""
     if len(places) == 0 or len(frames) == 0:
         return places
     nearest = frames[np.argmin(np.abs(places[:, None] - frames), axis=1)]
@@ -416,7 +416,8 @@ def _remove_idle_keys(armature: bpy.types.Object, frame: float) -> None:
 
 
 def _move_to_actions(*_: Any) -> None:
-    """Earlier versions kept the text on the armature, and on actions whose keys hold it only its digest."""
+    """Move the text of corrections that earlier versions kept on the armature to the actions whose keys hold
+    them, which had only its digest."""
     armatures = [o for o in bpy.data.objects if o.type == "ARMATURE" and o.manient.corrections]
     actions = list(bpy.data.actions)
     texts = [armature.manient.corrections for armature in armatures]

@@ -12,7 +12,7 @@ from .actions import is_layered, is_tweaked, strips_of
 
 
 def why_not_readable(armature: bpy.types.Object) -> str | None:
-    """Why a captured hand's pose cannot be read: a sentence for a tooltip; None where it can, and for
+    """Return why a captured hand's pose cannot be read, a sentence for a tooltip; None where it can, and for
     characters, whose bones are asked for by name."""
     if _is_character(armature):
         return None
@@ -20,7 +20,7 @@ def why_not_readable(armature: bpy.types.Object) -> str | None:
 
 
 def why_not_editable(armature: bpy.types.Object) -> str | None:
-    """Why nothing of a captured hand can be changed: a sentence for a tooltip; None where it can."""
+    """Return why nothing of a captured hand can be changed, a sentence for a tooltip; None where it can."""
     if armature.library is not None or not armature.is_editable:
         return "This hand is linked from another file: make it local to change it"
     if armature.override_library is not None and not _is_character(armature):
@@ -30,8 +30,8 @@ def why_not_editable(armature: bpy.types.Object) -> str | None:
 
 
 def why_not_keyable(armature: bpy.types.Object) -> str | None:
-    """Why single keys of a captured hand cannot be changed: a sentence for a tooltip; None where they can.
-    What is shown has to be what the keys say."""
+    """Return why single keys of a captured hand cannot be changed, a sentence for a tooltip; None where they
+    can. What is shown has to be what the keys say."""
     why = why_not_bakeable(armature)
     if why is None and in_use(armature):
         return "Controls move this hand on top of its keys: bake them or switch Controls off first"
@@ -39,8 +39,8 @@ def why_not_keyable(armature: bpy.types.Object) -> str | None:
 
 
 def why_not_bakeable(armature: bpy.types.Object) -> str | None:
-    """Why keys of a captured hand's active action cannot be changed, whatever else moves the hand: a sentence
-    for a tooltip; None where they can."""
+    """Return why keys of a captured hand's active action cannot be changed, whatever else moves the hand, a
+    sentence for a tooltip; None where they can."""
     why = why_not_editable(armature)
     data = armature.animation_data
     if why is not None or data is None:
@@ -69,7 +69,7 @@ def _is_character(armature: bpy.types.Object) -> bool:
 
 
 def check_unlayered(armature: bpy.types.Object) -> None:
-    """Raises OptionError where the keys are not all of the motion, since a layer lies on top."""
+    """Raise OptionError where the keys are not all of the motion, since a layer lies on top."""
     if is_layered(armature):
         raise OptionError(
             f"{armature.name!r} has a layer on top of its motion: merge or remove it first (Motion)"
@@ -77,16 +77,17 @@ def check_unlayered(armature: bpy.types.Object) -> None:
 
 
 def check_editable(armature: bpy.types.Object) -> None:
-    """Raises OptionError where nothing of the hand can be changed."""
+    """Raise OptionError where nothing of the hand can be changed."""
     check(armature, why_not_editable(armature), " cannot be changed")
 
 
 def check_keyable(armature: bpy.types.Object) -> None:
-    """Raises OptionError where single keys of the hand cannot be changed."""
+    """Raise OptionError where single keys of the hand cannot be changed."""
     check(armature, why_not_keyable(armature), " cannot be changed")
 
 
 def check(armature: bpy.types.Object, why: str | None, what: str = "") -> None:
-    """Raises OptionError, which names the armature, where a sentence says why not."""
+    """Raise OptionError, which names the armature, where the sentence `why` says that something cannot be
+    done."""
     if why is not None:
         raise OptionError(f"{armature.name!r}{what}: {why[:1].lower()}{why[1:]}")

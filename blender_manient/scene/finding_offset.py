@@ -22,16 +22,17 @@ from .sampling import rotations_of, sampling_unseen
 from .timing import frame_rate, span_of
 
 _LEAST_SURE = 0.3
-"""How sure an offset must be found"""
+"""The least certainty, 0..1, with which an offset must be found"""
 _LONGEST = 50_000
-"""frames in which an offset is looked for, in minutes"""
+"""The most frames in which an offset is looked for, which takes minutes"""
 
 
 def finding_offset(
     armature: bpy.types.Object, hands: Sequence[tuple[HandMap, Motion]]
 ) -> Generator[float, None, FoundOffset]:
-    """By how many frames captured hands have to come later to move as those of a character, whose own motion
-    is looked at in all frames that have it; in steps that tell how much is done, 0..1. Nothing is changed.
+    """Return by how many frames captured hands have to come later to move as those of a character, whose own
+    motion is looked at in all frames that have it; in steps that tell how much is done, 0..1. Nothing is
+    changed.
 
     Raises HandModelError, and OptionError where nothing fits well enough.
     """

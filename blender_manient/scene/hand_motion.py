@@ -21,7 +21,7 @@ from .keys import PoseKeys, nearest, read_pose_keys, read_table, table_text
 MARK = "manient_hand_motion"
 """An action's custom property: slot handle (0 before Blender 4.4) and side -> bone, keys and offset"""
 _SAME = 1e-4
-"""Parts of quaternions, and of locations as shares of the largest, that differ by less are the same"""
+"""Parts of quaternions, and of locations as shares of the largest, that differ by less count as equal"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +31,10 @@ class BoneKeys:
     rig: CharacterBones
     keys: PoseKeys
     side: Side | None = None
-    """The hand that the only bone moves as a whole; None for fingers"""
+    """The side of the hand that the only bone moves as a whole; None for fingers"""
     offset: np.ndarray | None = None
-    """(3,) what is added to where that hand is, in the armature's space and units"""
+    """(3,) the offset that is added to where the hand is, in the armature's space and units; None where there
+    is none"""
     settings: tuple[float, ...] = ()
     """Travel, smoothing, marked frame and offset in time of that hand"""
     arm: bool = False
@@ -41,7 +42,7 @@ class BoneKeys:
 
     @property
     def keyed(self) -> np.ndarray:
-        """(B,) bool: the bones that get them."""
+        """Return (B,) bool: the bones that get the keys."""
         return np.asarray(self.keys.rotation_keyed.any(axis=0))
 
 
@@ -62,16 +63,16 @@ class WrittenKeys:
 
     @property
     def time_offset(self) -> int:
-        """scene frames by which the motion was put later"""
+        """Return the scene frames by which the motion was put later."""
         return int(self.settings[3]) if len(self.settings) > 3 else 0
 
     @property
     def placed(self) -> bool:
-        """True if the hand was moved, too."""
+        """True if the hand was moved, and not only turned."""
         return bool(np.isfinite(self.table[:, 5:]).all())
 
     def unchanged_mask(self, rig: CharacterBones) -> np.ndarray:
-        """(N,) bool: the frames whose keys are as they were written."""
+        """Return (N,) bool: the frames whose keys are as they were written."""
         present = read_pose_keys(rig, holder=channels(self.action, self.slot))
         if len(present.frames) == 0:
             return np.zeros(len(self.table), dtype=bool)
@@ -85,8 +86,8 @@ class WrittenKeys:
 
 
 def written_keys(armature: bpy.types.Object, side: Side) -> WrittenKeys | None:
-    """What was written for a hand into the topmost action that has any of it; None for none, and for what a
-    damaged file holds."""
+    """Return the keys that were written for a hand into the topmost action that has any of it; None for none,
+    and for what a damaged file holds."""
     for user in users_of(armature):
         action, slot = user.action, action_slot(user)
         content = property_group(action, MARK).get(f"{slot_key(slot)}/{side}")
@@ -130,8 +131,8 @@ def record_written_keys(
 
 
 def without_artist_keys(armature: bpy.types.Object, one: BoneKeys) -> BoneKeys:
-    """The keys of a hand itself without those of frames on which the artist has changed, moved or deleted
-    what was written; fingers as they are."""
+    """Return the keys of a hand itself without those of frames on which the artist has changed, moved or
+    deleted what was written; keys of fingers as they are."""
     found = written_keys(armature, one.side) if one.side is not None else None
     if found is None or found.bone != one.rig.bones[0]:
         return one

@@ -35,7 +35,7 @@ from ..rigs.rig import PosedBones, Rig, bone_path
 from .actions import channels_of, curves_in, own_action, strip_below
 
 SAME_FRAME = 0.01
-"""Keys nearer than this are one key, as for Blender itself"""
+"""Scene frames within which two keys count as one, as for Blender itself"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +49,15 @@ class PoseKeys:
     locations: np.ndarray
     """(N, 3) along the first bone's axes; of a captured hand in metres"""
     rotation_keyed: np.ndarray
-    """(N, B) bool: whether the bone's rotation has a key there"""
+    """(N, B) bool: true where the bone's rotation has a key"""
     location_keyed: np.ndarray
-    """(N,) bool: whether the first bone's location has a key there"""
+    """(N,) bool: true where the first bone's location has a key"""
 
     @classmethod
     def everywhere(
         cls, frames: np.ndarray, quats: np.ndarray, locations: np.ndarray | None = None
     ) -> PoseKeys:
-        """Keys for all bones, and for the first one's location where it is given, on every frame."""
+        """Return keys for all bones, and for the first one's location where it is given, on every frame."""
         count = len(frames)
         return cls(
             np.asarray(frames, dtype=np.float64),
@@ -68,25 +68,26 @@ class PoseKeys:
         )
 
     def only(self, rotations: np.ndarray | bool, locations: np.ndarray | bool) -> PoseKeys:
-        """The rotation keys and the location keys that these masks let through: any that broadcast to (N, B)
-        and to (N,)."""
+        """Return the rotation keys and the location keys that these masks let through: any that broadcast to
+        (N, B) and to (N,)."""
         rotated, located = self.rotation_keyed & rotations, self.location_keyed & locations
         return replace(self, rotation_keyed=rotated, location_keyed=located)
 
     @property
     def channels(self) -> dict[str, Any]:
-        """What has keys, as `check_unlocked` and `remove_pose_keys` want to know it."""
+        """Return the joints, and the location, that have keys, as arguments of `check_unlocked` and
+        `remove_pose_keys`."""
         joints = np.flatnonzero(self.rotation_keyed.any(axis=0)).tolist()
         return {"joints": joints, "location": bool(self.location_keyed.any())}
 
     def keyed_at(self, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Which rotations (M, B), and whether the location (M,), have keys on frames (M,): bool."""
+        """Return which rotations (M, B), and whether the location (M,), have keys on frames (M,), as bool."""
         there = np.abs(frames[:, None] - self.frames) <= SAME_FRAME
         return there @ self.rotation_keyed, there @ self.location_keyed
 
     def turned(self, old: RestPose, new: RestPose, plane: float = 0.0) -> PoseKeys:
-        """These keys for bones with another rest pose; for a hand of the other side mirrored at `plane` (see
-        `RestPose.moved_to`)."""
+        """Return these keys for bones with another rest pose; for a hand of the other side mirrored at
+        `plane` (see `RestPose.moved_to`)."""
         return replace(
             self, quats=old.turned_to(new, self.quats), locations=old.moved_to(new, self.locations, plane)
         )
@@ -95,7 +96,7 @@ class PoseKeys:
 def read_pose_keys(
     rig: PosedBones, first: float = -np.inf, last: float = np.inf, *, holder: Any = None
 ) -> PoseKeys:
-    """All keys of the bones from frame `first` to `last`, both included."""
+    """Return all keys of the bones from scene frame `first` to `last`, both included."""
     curves = _Curves(rig, holder)
     own = [frames_of(curves.rotation(bone)) for bone in curves.bones]
     placed = frames_of(curves.location(curves.bones[0]))
@@ -107,10 +108,10 @@ def read_pose_keys(
 
 
 def pose_at(rig: PosedBones, frames: np.ndarray, *, holder: Any = None) -> tuple[np.ndarray, np.ndarray]:
-    """What the keys say on any frames: quaternions (N, B, 4), the first bone's locations (N, 3).
+    """Return the pose that the keys say on any scene frames (N,): quaternions (N, B, 4) as (w, x, y, z) and
+    the first bone's locations (N, 3).
 
-    Where something has no curve its present value counts. Constraints, drivers and the NLA are not asked.
-    """
+    Where something has no curve its present value counts. Constraints, drivers and the NLA are not asked."""
     values, locations = channel_values(rig, frames, holder=holder)
     modes = [rig.armature.pose.bones[name].rotation_mode for name in rig.bones]
     quats = [channels_to_quat(*one) for one in zip(values, modes, strict=True)]
@@ -120,8 +121,10 @@ def pose_at(rig: PosedBones, frames: np.ndarray, *, holder: Any = None) -> tuple
 def channel_values(
     rig: PosedBones, frames: np.ndarray, *, holder: Any = None
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """What the bones' own channels say on any frames: (N, 3 or 4) per bone in its rotation mode, and the
-    first bone's locations (N, 3). Where something has no curve its present value counts."""
+    """Return the values of the bones' own channels on any scene frames (N,): (N, 3 or 4) per bone in its
+    rotation mode, and the first bone's locations (N, 3).
+
+    Where something has no curve its present value counts."""
     curves = _Curves(rig, holder)
     frames = np.asarray(frames, dtype=np.float64)
     values = [
@@ -160,8 +163,8 @@ def write_pose_keys(rig: PosedBones, keys: PoseKeys, *, holder: Any = None) -> N
 def writing_pose_keys(
     find: Callable[[], PosedBones], keys: PoseKeys, *, holder: Any = None
 ) -> Iterator[float]:
-    """`write_pose_keys`, a bone per step, for a window that stays free; yields how much is done, 0..1. `find`
-    gives the bones, and raises where they have gone between two steps."""
+    """Write keys as `write_pose_keys` does, a bone per step, for a window that stays free; yields how much is
+    done, 0..1. `find` gives the bones, and raises where they have gone between two steps."""
     joints = np.flatnonzero(keys.rotation_keyed.any(axis=0))
     if not len(joints) and keys.location_keyed.any():
         joints = np.zeros(1, dtype=int)
@@ -232,7 +235,7 @@ def level_handles(rig: PosedBones, joints: list[int], first: float, last: float)
 
 
 def frames_between(keyed: np.ndarray) -> np.ndarray:
-    """(N,) frames of keys, increasing -> the same, and the whole frames in gaps between them."""
+    """Return the frames of keys (N,), increasing, together with the whole frames in the gaps between them."""
     if len(keyed) < 2:
         return keyed
     between = np.arange(np.ceil(keyed[0]), np.floor(keyed[-1]) + 1.0)
@@ -299,13 +302,13 @@ def is_smooth(rig: PosedBones, *, holder: Any = None) -> bool:
 
 
 def displayed_pose(rig: PosedBones) -> np.ndarray:
-    """(B, 4) the rotations that the bones have now, keyed or not, as (w, x, y, z)."""
+    """Return the rotations (B, 4) that the bones have now, keyed or not, as quaternions (w, x, y, z)."""
     return np.array([bone.matrix_basis.to_quaternion() for bone in _Curves(rig).bones])
 
 
 def check_unlocked(rig: PosedBones, *, joints: list[int] | None = None, location: bool = True) -> None:
-    """Raises OptionError where a channel of these joints (None: all bones), or of the first one's location,
-    is locked."""
+    """Raise OptionError where a channel of these joints (None: all bones), or of the first one's location, is
+    locked."""
     for name, curve in _Curves(rig).there(joints, location):
         if curve.lock or (curve.group is not None and curve.group.lock):
             raise OptionError(
@@ -338,17 +341,17 @@ class _Curves:
             self._armature.update_tag(refresh={"TIME"})
 
     def rotation(self, bone: bpy.types.PoseBone) -> list[Any]:
-        """The 3 or 4 curves of a bone's rotation in its own mode; None for missing ones."""
+        """Return the 3 or 4 curves of a bone's rotation in its own mode; None for missing ones."""
         path = rotation_path(bone)
         return self._parts(bone.name, path, 3 if path == "rotation_euler" else 4)
 
     def location(self, bone: bpy.types.PoseBone) -> list[Any]:
-        """The three curves of a bone's location; None for missing ones."""
+        """Return the three curves of a bone's location; None for missing ones."""
         return self._parts(bone.name, "location", 3)
 
     def there(self, joints: Sequence[int] | None = None, location: bool = True) -> list[tuple[str, Any]]:
-        """The curves that there are of the rotations of these joints (None: of all bones), and of the first
-        bone's location, each with its bone's name."""
+        """Return the existing curves of the rotations of these joints (None: of all bones), and of the first
+        bone's location, each after its bone's name."""
         chosen = self.bones if joints is None else [self.bones[joint] for joint in joints]
         parts = [(bone.name, curve) for bone in chosen for curve in self.rotation(bone)]
         if location:
@@ -373,19 +376,19 @@ class _Curves:
 
 
 def frames_of(parts: list[Any]) -> np.ndarray:
-    """The frames on which any of the curves has a key."""
+    """Return the frames on which any of the curves has a key."""
     return union([_read(c, ("co",))["co"][:, 0].astype(np.float64) for c in parts if c is not None])
 
 
 def union(lists: list[np.ndarray]) -> np.ndarray:
-    """All frames, increasing, without those that are the same key."""
+    """Return all frames of the lists, increasing, without those that count as the key before them."""
     frames = np.unique(np.concatenate([np.empty(0), *lists]))
     return frames[np.append(True, np.diff(frames) > SAME_FRAME)[: len(frames)]]
 
 
 def nearest(frames: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """For each wanted frame the index of the nearest of `frames` (N > 0, increasing), and whether it is the
-    same."""
+    """Return for each wanted frame the index of the nearest of `frames` (N > 0, increasing), and whether the
+    two count as one key."""
     after = np.clip(np.searchsorted(frames, wanted), 0, len(frames) - 1)
     before = np.maximum(after - 1, 0)
     index = np.where(np.abs(frames[before] - wanted) < np.abs(frames[after] - wanted), before, after)
@@ -399,7 +402,7 @@ def _contains(frames: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 
 
 def _values_at(parts: list[Any], present: Any, frames: np.ndarray) -> np.ndarray:
-    """(N, parts) what the curves say; `present` for those that are missing."""
+    """Return the values of the curves on each frame, (N, parts); `present` for those that are missing."""
     values = np.empty((len(frames), len(parts)))
     for i, curve in enumerate(parts):
         if curve is None or len(curve.keyframe_points) == 0:
@@ -414,7 +417,7 @@ def _values_at(parts: list[Any], present: Any, frames: np.ndarray) -> np.ndarray
 
 
 def rotation_path(bone: bpy.types.PoseBone) -> str:
-    """The name of the property that holds a bone's rotation in its own mode."""
+    """Return the name of the property that holds a bone's rotation in its own mode."""
     other = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
     return other.get(bone.rotation_mode, "rotation_euler")
 
@@ -422,7 +425,8 @@ def rotation_path(bone: bpy.types.PoseBone) -> str:
 def _from_quats(
     quats: np.ndarray, bone: bpy.types.PoseBone, parts: list[Any], frames: np.ndarray
 ) -> np.ndarray:
-    """(N, 4) quaternions -> (parts, N) values in the bone's rotation mode, near those of the key before."""
+    """Return quaternions (N, 4) as values (parts, N) in the bone's rotation mode, near those of the key
+    before."""
     earlier = frames[0] - 1.0 if len(frames) else 0.0
     co = _read(parts[0], ("co",))["co"]
     before = co[co[:, 0] < frames[0] - SAME_FRAME, 0]
@@ -469,8 +473,8 @@ _EVERYTHING = _PLACES + _KINDS + _AMOUNTS + _SELECTED
 def new_curve(
     holder: Any, bone: str, attribute: str, index: int, frames: np.ndarray, values: np.ndarray
 ) -> None:
-    """A new curve of a bone, in its group, or, without a name, of the object: straight lines between keys
-    (N,)."""
+    """Make a new curve of a bone, in its group, or, without a name, of the object: straight lines between
+    keys (N,)."""
     curve = holder.fcurves.new(f"{bone_path(bone)}.{attribute}" if bone else attribute, index=index)
     if bone:
         curve.group = holder.groups.get(bone) or holder.groups.new(bone)
@@ -480,7 +484,7 @@ def new_curve(
 
 
 def _read(curve: Any, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Attributes of the curve's key points as arrays: places (N, 2), others (N,)."""
+    """Return attributes of the curve's key points as arrays: places (N, 2), others (N,)."""
     points = curve.keyframe_points
     count = len(points)
     data = {}
@@ -543,7 +547,8 @@ def _write(curve: Any, frames: np.ndarray, values: np.ndarray) -> None:
 
 
 def _inserted(data: dict[str, np.ndarray], frames: np.ndarray, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Key points with new ones between the old, each like the one before it in how it leads to the next."""
+    """Return the key points with new ones between the old, each like the one before it in how it leads to the
+    next."""
     old = data["co"][:, 0].astype(np.float64)
     before = np.maximum(np.searchsorted(old, frames) - 1, 0)
     new = _plain(frames, values)
@@ -555,7 +560,7 @@ def _inserted(data: dict[str, np.ndarray], frames: np.ndarray, values: np.ndarra
 
 
 def _leads(data: dict[str, np.ndarray], frames: np.ndarray) -> np.ndarray:
-    """(N,) bool: frames between two keys that a Bezier curve with handles of its own joins."""
+    """Return (N,) bool: the frames between two keys that a Bezier curve with handles of its own joins."""
     free = [_kind("handle_left_type", kind) for kind in ("FREE", "ALIGNED")]
     leads = data["interpolation"][:-1] == _kind("interpolation", "BEZIER")
     leads &= np.isin(data["handle_right_type"][:-1], free) & np.isin(data["handle_left_type"][1:], free)
@@ -566,7 +571,7 @@ def _leads(data: dict[str, np.ndarray], frames: np.ndarray) -> np.ndarray:
 def _plain(
     frames: np.ndarray, values: np.ndarray, kinds: Mapping[str, str] = MappingProxyType({})
 ) -> dict[str, np.ndarray]:
-    """Key points as Blender makes them, but with straight lines between; or of these `kinds`."""
+    """Return key points as Blender makes them, but with straight lines between; or of these `kinds`."""
     chosen = {
         "interpolation": "LINEAR",
         "handle_left_type": "AUTO_CLAMPED",
@@ -588,25 +593,25 @@ def _plain(
 
 
 def _kind(name: str, kind: str) -> int:
-    """The number of a key point's enumerated value."""
+    """Return the number by which Blender knows a value of a key point's enumerated property."""
     return bpy.types.Keyframe.bl_rna.properties[name].enum_items[kind].value
 
 
 def table_text(table: np.ndarray) -> str:
-    """A table (N, C) as text for a property: base64 of little-endian float32."""
+    """Return a table (N, C) as text for a property: base64 of little-endian float32."""
     return base64.b64encode(table.astype("<f4").tobytes()).decode("ascii")
 
 
 def read_table(text: str, columns: int) -> np.ndarray:
-    """(N, `columns`) what `table_text` made a text of. Raises ValueError."""
+    """Return the table (N, `columns`) that `table_text` made a text of. Raises ValueError."""
     return np.frombuffer(base64.b64decode(text, validate=True), "<f4").reshape(-1, columns).astype(np.float64)
 
 
 CURVES = NUM_JOINTS * 4 + 3
-"""How many curves a hand's action has"""
+"""How many curves the action of a hand has"""
 
 _CHUNK = 250
-"""frames that are computed at once, in some milliseconds"""
+"""How many frames are computed at once, in some milliseconds"""
 
 
 def computing_keys(

@@ -39,11 +39,11 @@ from .sampling import stepped
 from .simplify import keeping_simplified, own_kept_actions, remove_unused
 
 _Merged = tuple[CharacterBones, PoseKeys, list[Channels]]
-"""A bone, its keys, and what they say on all frames"""
+"""A bone, its keys, and the values of its channels on all frames"""
 _DEGREES = 0.5
-"""How exactly a layer is merged into motion that was simplified"""
+"""Degrees within which a layer is merged into motion that was simplified"""
 _SAME = 1e-5
-"""radians and metres. What is shown no farther from motion is what it says"""
+"""Radians and metres within which shown motion counts as that of the keys"""
 
 
 def add_layer(armature: bpy.types.Object) -> bpy.types.Action:
@@ -127,7 +127,7 @@ def _check_mergeable(armature: bpy.types.Object, strip: Any) -> None:
 
 
 def _merged(armature: bpy.types.Object, strip: Any) -> list[_Merged]:
-    """The keys of the bones that Blender shows otherwise than the strip's action alone has them."""
+    """Return the keys of the bones that Blender shows otherwise than the strip's action alone has them."""
     names = {bone_path(bone.name): bone.name for bone in armature.pose.bones}
     below, top = (channels_of(user) for user in (strip, armature.animation_data))
     curves: dict[str, list[Any]] = {}
@@ -159,7 +159,8 @@ def _merged(armature: bpy.types.Object, strip: Any) -> list[_Merged]:
 def _shown(
     armature: bpy.types.Object, bones: list[str], frames: np.ndarray
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """What Blender shows of bones' own channels: rotations (N, 3 or 4) in their mode and locations (N, 3)."""
+    """Return what Blender shows of bones' own channels: by bone, rotations (N, 3 or 4) in its rotation mode
+    and locations (N, 3)."""
     paths = {name: rotation_path(armature.pose.bones[name]) for name in bones}
     found: dict[str, list[tuple[Any, Any]]] = {name: [] for name in bones}
     with object_mode(), unseen_scene("merged") as scene, shown_in_pose([armature]):

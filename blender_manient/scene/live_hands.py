@@ -45,18 +45,18 @@ from .onto_character import (
 from .own_scene import remove_blocks
 
 Target = tuple[BlockReference, Side]
-"""A character, and which of its hands"""
+"""A character, and the side of its hand"""
 Followed = Mapping[Side, Target | None]
-"""What follows, by the person's side; None: an open hand"""
+"""What follows each hand of the person, by its side; None: an open hand"""
 _CHANNELS = ("rotation_quaternion", "rotation_euler", "rotation_axis_angle", "location")
 
 
 class LiveHand(ABC):
-    """What follows one hand of the person."""
+    """A hand of the scene that follows one hand of the person."""
 
     @abstractmethod
     def show(self, motion: HandMotion) -> None:
-        """Take the pose of a motion of one frame. Raises OptionError where what follows is gone."""
+        """Show the pose of a motion of one frame. Raises OptionError where what follows is gone."""
 
     @abstractmethod
     def take_away(self) -> None:
@@ -67,7 +67,7 @@ class OpenHand(LiveHand):
     """An open hand in a collection of its own, where the camera stands at the world's origin."""
 
     def __init__(self, scene: bpy.types.Scene, model: str, side: Side, betas: np.ndarray) -> None:
-        """Raises HandModelError."""
+        """Build the open hand of a side in its collection. Raises HandModelError."""
         collection, rig = build_open_hand(scene, "Live", model, side, betas)
         collection.manient.is_live = True
         scene.collection.children.link(collection)
@@ -77,7 +77,7 @@ class OpenHand(LiveHand):
         self._place = _Place(model, side, betas)
 
     def show(self, motion):
-        """Take the pose, the wrist where it was seen."""
+        """Show the pose of a motion of one frame, with the wrist where it was seen."""
         armature = self._armature.find()
         if armature is None:
             raise OptionError("the hand that followed the live source was deleted: press Start again")
@@ -129,7 +129,7 @@ class CharacterHand(LiveHand):
         return armature
 
     def show(self, motion):
-        """Take the pose."""
+        """Show the pose of a motion of one frame."""
         armature = self._found()
         shown = self._as_source.motion(motion, np.zeros(1)).on(self._side)
         quats = within_locks(armature, self._target.bones, rotmat_to_quat(self._target.local(shown.turns)))[0]
@@ -161,7 +161,7 @@ class AsSource:
     """Feeds motions of one hand shape to the character transfer."""
 
     def __init__(self, model: str, of: HandMotion) -> None:
-        """`of` has the shape. Raises HandModelError."""
+        """Prepare for motions of a hand whose shape `of` has. Raises HandModelError."""
         loaded = kept_model(model, of.side)
         self._shaped = loaded.shaped(of.betas)
         self._source = SourceHand.of(self._shaped, of.side, loaded.name)
@@ -169,7 +169,7 @@ class AsSource:
         self._rest = RestPose(of.side, eyes, wrist)
 
     def motion(self, motion: HandMotion, frames: np.ndarray) -> Motion:
-        """The motion (T) on scene frames (T,)."""
+        """Return the motion (T frames) for the transfer, on scene frames (T,)."""
         quats, locations = self._rest.to_bones(self._shaped, *motion.pose)
         return Motion(self._source, frames, quat_to_rotmat(quats), self._rest.wrist + locations)
 
@@ -183,7 +183,8 @@ class _Place:
         self._betas, self._shift = betas, np.zeros(3)
 
     def bones(self, rest: RestPose, motion: HandMotion) -> tuple[np.ndarray, np.ndarray]:
-        """Quaternions (T, 16, 4) and the wrist's locations (T, 3), metres."""
+        """Return the pose of the bones: quaternions (T, 16, 4) as (w, x, y, z) and the wrist's locations (T,
+        3) in metres."""
         if not np.array_equal(motion.betas, self._betas):
             self._betas = motion.betas
             self._shift = self._model.shaped(motion.betas).joints[0] - self._shaped.joints[0]
@@ -194,7 +195,8 @@ class _Place:
 def build_open_hand(
     scene: bpy.types.Scene, name: str, model: str, side: Side, betas: np.ndarray
 ) -> tuple[bpy.types.Collection, CapturedHandRig]:
-    """An open hand in a new collection of that name, which is not linked yet. Raises HandModelError."""
+    """Build an open hand in a new collection of that name, which is not linked yet; return both. Raises
+    HandModelError."""
     loaded = with_wrist(kept_model(model, side), "cap")
     shaped = loaded.shaped(betas)
     collection = bpy.data.collections.new(name)
@@ -210,8 +212,8 @@ def build_open_hand(
 def building_preview(
     scene: bpy.types.Scene, name: str, model: str, motion: HandMotion, frames: np.ndarray
 ) -> Generator[None, None, BlockReference]:
-    """An open hand that does a motion (T) on scene frames (T,), in steps; returns its collection. Raises
-    HandModelError."""
+    """Build, in steps, an open hand that does a motion (T frames) on scene frames (T,); return its
+    collection. Raises HandModelError."""
     collection, rig = build_open_hand(scene, name, model, motion.side, motion.betas)
     made = BlockReference.of("collections", collection)
     yield

@@ -40,7 +40,7 @@ CHOICES = (
         "scene, and the clip plays behind it at the speed at which it was filmed",
     ),
 )
-"""The items of the properties in which artists choose"""
+"""The items of the properties in which artists choose whether a scene is matched"""
 
 _TIME = ("fps", "fps_base", "frame_start", "frame_end")
 _SIZE = ("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y")
@@ -48,23 +48,24 @@ _SIZE = ("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_
 
 @dataclass(frozen=True)
 class Footage:
-    """What a scene can take over from a clip or picture."""
+    """The properties that a scene can take over from a clip or picture."""
 
     fps: float = 0.0
     first: int = 0
     last: int = 0
-    """Source frames; the same as `first` for a picture, which has no time"""
+    """The last source frame; equal to `first` for a picture, which has no time"""
     width: int = 0
-    """0: before a camera of the scene's own, whose size stays"""
+    """The width of the picture in pixels; 0 before a camera of the scene's own, whose size stays"""
     height: int = 0
     timed: bool = True
-    """True if it has a rate of its own; photos and image sequences have none"""
+    """True if the footage has a rate of its own; photos and image sequences have none"""
     placed: Timing | None = None
-    """Where its frames lie in the scene's time, which stays: those of the clip of the scene's own camera"""
+    """Where the footage's frames lie in the scene's time, which stays, as it does for the clip of the scene's
+    own camera; None where the scene takes over its time"""
 
     @classmethod
     def of_take(cls, take: Take, *, own_camera: bool = False, placed: Timing | None = None) -> Footage:
-        """What `build_take` gives to a scene."""
+        """Return the footage that `build_take` gives to a scene for a take."""
         numbers, size = take.frame_numbers, (0, 0) if own_camera else (take.width, take.height)
         return cls(take.fps, int(numbers[0]), int(numbers[-1]), *size, has_rate(take), placed)
 
@@ -92,10 +93,9 @@ def matches(scene: bpy.types.Scene, choice: Choice, footage: Footage | None = No
 
 
 def why_kept(scene: bpy.types.Scene, footage: Footage | None = None) -> str:
-    """Why the scene counts as somebody's shot, as part of a sentence; empty where it does not.
+    """Return why the scene counts as somebody's shot, as part of a sentence; empty where it does not.
 
-    A scene that has the footage's rate, range and size already loses nothing by it.
-    """
+    A scene that has the footage's rate, range and size already loses nothing by it."""
     camera = scene.camera
     if camera is not None and not is_untouched(camera) and not is_of_a_capture(camera):
         return f"its camera is {camera.name}"
@@ -119,8 +119,8 @@ def scene_sentence(
     *,
     done: bool | None = None,
 ) -> str:
-    """What a capture does to the scene, the main thing in a short first sentence; with `done`, whether the
-    scene was matched, what it has done."""
+    """Return a sentence on what a capture does to the scene, the main thing in a short first one; with
+    `done`, whether the scene was matched, on what it has done."""
     if footage is not None and footage.placed is not None:
         first = footage.placed.offset + footage.placed.scale * footage.first
         return f"Hand at frame {first:g}, with the camera's clip"
@@ -144,7 +144,7 @@ def scene_sentence(
 
 
 def note_matched(scene: bpy.types.Scene, footage: Footage) -> None:
-    """Remember what of the scene's present settings is the footage's, and not the artist's."""
+    """Remember which of the scene's present settings are the footage's, and not the artist's."""
     if not has_properties():
         return
     if footage.last > footage.first:
@@ -172,7 +172,7 @@ def _untouched(scene: bpy.types.Scene) -> bool:
 
 
 def _settings(scene: bpy.types.Scene | None, names: tuple[str, ...]) -> str:
-    """Settings that matching changes, as text; of no scene: those that Blender starts with."""
+    """Return settings that matching changes, as text; of no scene: those that Blender starts with."""
     found = []
     for name in names:
         cls = bpy.types.Scene if name.startswith("frame") else bpy.types.RenderSettings
@@ -183,14 +183,15 @@ def _settings(scene: bpy.types.Scene | None, names: tuple[str, ...]) -> str:
 
 
 def is_of_a_capture(camera: bpy.types.Object) -> bool:
-    """True if a capture built it: one of the artist's own lies in no capture's collection."""
+    """True if a capture built the camera: one of the artist's own lies in no capture's collection."""
     return has_properties() and any(
         camera in (c.manient.camera, c.manient.view_camera) for c in camera.users_collection
     )
 
 
 def _moving(scene: bpy.types.Scene) -> Iterator[str]:
-    """The names of what is animated in the scene; a hand captured from one picture only stands there."""
+    """Yield the names of what is animated in the scene; a hand captured from one picture only stands
+    there."""
     if len(bpy.data.actions) == 0:  # panels ask at every redraw
         return
     for block in _blocks(scene):
@@ -205,7 +206,7 @@ def _moving(scene: bpy.types.Scene) -> Iterator[str]:
 
 
 def _blocks(scene: bpy.types.Scene) -> Iterator[bpy.types.ID | None]:
-    """What can be animated in a scene; None for what is not there."""
+    """Yield the data-blocks that can be animated in a scene; None for one that is not there."""
     yield from (scene, scene.world, scene.world and scene.world.node_tree)
     for obj in scene.objects:
         yield from (obj, obj.data, getattr(obj.data, "shape_keys", None))
@@ -214,14 +215,14 @@ def _blocks(scene: bpy.types.Scene) -> Iterator[bpy.types.ID | None]:
 
 
 _CAMERA = (7.358891, -6.925791, 4.958309, 1.109319, 0.0, 0.814928, 50.0)
-"""Place, rotation and lens"""
+"""The place, rotation and lens of the camera in Blender's start-up file"""
 _LIGHT = (4.07625, 1.00545, 5.90386)
-"""Place; too far off to light a hand"""
+"""The place of the light in Blender's start-up file, which is too far off to light a hand"""
 _SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 
 
 def is_untouched(thing: bpy.types.Object) -> bool:
-    """True if it is the start-up file's camera, light or cube, as Blender made it."""
+    """True if a thing is the start-up file's camera, light or cube, as Blender made it."""
     data = thing.data
     if thing.name == "Camera" and isinstance(data, bpy.types.Camera):
         found = (*thing.location, *thing.rotation_euler, data.lens)
@@ -260,7 +261,7 @@ def clear_view(
 def _around(
     camera: bpy.types.Object, collection: bpy.types.Collection, layer: bpy.types.ViewLayer
 ) -> Iterator[bpy.types.Object]:
-    """The visible solid objects in whose bounding box the camera is."""
+    """Yield the visible solid objects in whose bounding box the camera is."""
     place = camera.matrix_world.translation
     for thing in layer.objects:
         if thing.type not in _SOLID or not thing.visible_get(view_layer=layer):

@@ -19,11 +19,12 @@ from ..rigs.arm import skin_bone
 from ..rigs.rig import Rig
 
 _LEAST_WEIGHT = 1e-6
-"""Weights below this move nothing visibly; they would only make every export larger"""
+"""The least weight that is kept: lower ones move nothing visibly; they would only make every export larger"""
 IN_RENDERS = "Round in Renders"
-"""The modifier that subdivides the mesh where it is rendered: bent joints and the thumb's root show edges"""
+"""Name of the modifier that subdivides the mesh where it is rendered: bent joints and the thumb's root show
+edges"""
 _ALONE = 1e-3
-"""Weight of the wrist where skin follows the forearm, that moves it once the artist has deleted the arm"""
+"""The wrist's weight on skin that follows the forearm, which moves it once the artist has deleted the arm"""
 _SKIN = {
     "Base Color": (0.54, 0.28, 0.185, 1.0),
     "Roughness": 0.48,
@@ -42,7 +43,8 @@ _NAILS = {
 
 
 def build_mesh(name: str, model: HandModel, shaped: ShapedHand, rig: Rig) -> bpy.types.Object:
-    """A smooth-shaded mesh object of the shaped hand that hangs on the rig, with a vertex group per bone.
+    """Build a smooth-shaded mesh object of the shaped hand that hangs on the rig, with a vertex group per
+    bone.
 
     It is not linked to any collection.
     """
@@ -90,8 +92,9 @@ def follow_arm(mesh: bpy.types.Object, model: HandModel, armature: bpy.types.Obj
 
 
 def _texture_coordinates(model: HandModel) -> tuple[np.ndarray, np.ndarray]:
-    """UVs (U, 2) and, per polygon corner, the index into them. For models without: the palm flattened into
-    the left half, the back into the right."""
+    """Return texture coordinates (U, 2) and, per polygon corner, the index into them.
+
+    For models without them the palm is flattened into the left half, the back of the hand into the right."""
     if model.uv is not None and model.uv_faces is not None:
         return model.uv, model.uv_faces
     flat = model.v_template[:, [0, 2]]
@@ -121,7 +124,7 @@ def _material(
 
 
 def corrective_names(rig: Rig) -> list[list[str]]:
-    """(15, 9) names of the shape keys of `axes.corrective_offsets`: a bone's name and a product of two
+    """Return (15, 9) names of the shape keys of `axes.corrective_offsets`: a bone's name and a product of two
     components of its quaternion, as in `index_proximal.R wx`."""
     products = [product.replace("*", "") for product in axes.QUATERNION_PRODUCTS]
     return [[f"{bone} {product}" for product in products] for bone in rig.bones[1:]]

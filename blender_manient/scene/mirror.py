@@ -31,7 +31,7 @@ from .simplify import forget_all_keys
 from .store import CapturedHand, describe_hand, hand_of, keep_take
 
 _GAP = 0.01
-"""metres between a hand that reaches across the middle and the mirror beside it"""
+"""Metres between a hand that reaches across the middle and the mirror beside it"""
 
 
 def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
@@ -93,7 +93,7 @@ def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
 
 
 def _pairs(source: Rig, rig: Rig) -> list[tuple[str, str]]:
-    """Each bone, and each control, with the other side's."""
+    """Return the name of each bone, and of each control, with that of the other side's."""
     controls = rig.controls
     return [
         *zip(source.bones, rig.bones, strict=True),
@@ -118,7 +118,7 @@ def _plane(
     present: np.ndarray,
     present_place: np.ndarray,
 ) -> float:
-    """The mirror's x in the armature's space, metres."""
+    """Return the place of the mirror on the x axis of the armature's space, in metres."""
     quats = np.concatenate([quats, present[None]])
     locations = np.concatenate([locations, present_place[None]])
     shaped = model.shaped(betas)
@@ -146,8 +146,8 @@ def _add_mesh(source: bpy.types.Object, rig: Rig, model: HandModel, betas: np.nd
 
 
 def _mirrored_action(source: Rig, rig: Rig) -> Any:
-    """A copy of the source's action for the new rig, its curves on the other side's bones and mirrored
-    as Blender mirrors bones. Returns its channels, None where there is no action."""
+    """Return the channels of a copy of the source's action for the new rig, whose curves are on the other
+    side's bones and mirrored as Blender mirrors bones; None where there is no action."""
     data, armature = source.armature.animation_data, rig.armature
     if data is None or data.action is None:
         return None
@@ -198,7 +198,7 @@ def _turns_over(attribute: str, index: int) -> bool:
 def _keep(
     hand: CapturedHand, armature: bpy.types.Object, model: HandModel, betas: np.ndarray, plane: float
 ) -> None:
-    """Add the mirrored track to the collection's take, and say on the armature which one it is."""
+    """Add the mirrored track to the collection's take, and note on the armature which track it is."""
     track = hand.track
     old_wrist = kept_model(hand.take.model, hand.side).shaped(track.betas).joints[0]
     beside = np.array([2.0 * plane, 0.0, 0.0])

@@ -19,8 +19,8 @@ from .timing import LAST_FRAME
 
 
 def moving_range(armature: bpy.types.Object) -> tuple[float, float] | None:
-    """First and last scene frame on which anything but its fingers, and what was applied to its hands and
-    arms, moves a character; None where nothing does."""
+    """Return the first and last scene frame on which anything but its fingers, and what was applied to its
+    hands and arms, moves a character; None where nothing does."""
     names = {name for side in SIDES for name in table_of(armature, side).keyed}
     names |= {one.bone for side in SIDES if (one := written_keys(armature, side)) is not None}
     starts, spans = tuple(f"{bone_path(name)}." for name in names), []
@@ -37,8 +37,8 @@ def moving_range(armature: bpy.types.Object) -> tuple[float, float] | None:
 
 
 def check_moved_in_time(armature: bpy.types.Object, frames: Sequence[np.ndarray], offset: int) -> None:
-    """Raises OptionError where motions on scene frames (N,) would lie beside the timeline, or beside what the
-    character does, when they come so many frames later."""
+    """Raise OptionError where motions on scene frames (N,), when they come `offset` frames later, would lie
+    beside the timeline or beside what the character does."""
     first, last = (end + offset for end in (min(f[0] for f in frames), max(f[-1] for f in frames)))
     would = f"with an offset of {offset} frames the hands would move in frames {first:.0f} to {last:.0f}"
     if max(abs(first), abs(last)) > LAST_FRAME:

@@ -83,15 +83,15 @@ _TURNING = {"COPY_ROTATION", "COPY_TRANSFORMS", "TRANSFORM", "ARMATURE", "CHILD_
 """Constraints that turn a bone away from its keys. Limits only cut them off"""
 
 _CHUNK = 250
-"""frames that are computed at once, in some milliseconds"""
+"""How many frames are computed at once, in some milliseconds"""
 
 _SURE, _LIKELY = 0.75, 0.45
-"""How sure a hand must be recognised for these words"""
+"""How sure a hand must be recognised, 0..1, to be called sure, and likely"""
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What a captured hand does on N scene frames, in the space of its own armature."""
+    """The motion of a captured hand on N scene frames, in the space of its own armature."""
 
     source: SourceHand
     frames: np.ndarray
@@ -99,27 +99,28 @@ class Motion:
     turns: np.ndarray
     """(N, 16, 3, 3) each joint's rotation relative to its parent, the wrist's to its rest, in rest space"""
     places: np.ndarray
-    """(N, 3) metres: where the wrist is"""
+    """(N, 3) metres: where the wrist is in the space of the armature"""
     skins: Fingertips | None = None
     """the hand's fingertips; None where it is not known which of them touch"""
     arm: CapturedArm | None = None
-    """what its arm does on these frames; None where there is none"""
+    """The motion of the hand's arm on these frames; None where there is none"""
 
     @classmethod
     def of(cls, hand: CapturedHand, frames: np.ndarray, turns: np.ndarray, places: np.ndarray) -> Motion:
-        """What a hand in the scene does. Raises HandModelError."""
+        """Return the motion of a hand in the scene, from its turns and places on N scene frames. Raises
+        HandModelError."""
         source = SourceHand.of(hand.shaped(), hand.side, hand.model().name)
         numbers = timing_of(hand.collection).source_frames(frames)
         arm = CapturedArm.of(hand.take, hand.track, numbers)
         return cls(source, frames, turns, places, Fingertips.of(hand.model(), hand.betas), arm)
 
     def on(self, side: Side, later: float = 0.0) -> Motion:
-        """The motion for a hand of that side, mirrored if need be, so many scene frames later."""
+        """Return the motion for a hand of that side, mirrored if need be, and so many scene frames later."""
         moved = self if self.source.side == side else self.mirrored()
         return replace(moved, frames=moved.frames + later)
 
     def mirrored(self) -> Motion:
-        """The motion mirrored at x = 0, for the other side."""
+        """Return the motion mirrored at x = 0, for the other side."""
         turns, skins = mirrored_turns(self.turns), self.skins and self.skins.mirrored()
         arm = self.arm and self.arm.mirrored()
         return Motion(self.source.mirrored(), self.frames, turns, self.places @ MIRROR_X, skins, arm)
@@ -141,7 +142,7 @@ class Applied:
 
 
 def shortcomings(applied: Sequence[Applied]) -> list[str]:
-    """What is not as captured, in sentences that begin with a small letter."""
+    """Return what is not as captured, in sentences that begin with a small letter."""
     found = list(dict.fromkeys(sentence for one in applied for sentence in one.left_alone))
     missed = max(one.missed for one in applied)
     if missed:
@@ -156,8 +157,8 @@ def shortcomings(applied: Sequence[Applied]) -> list[str]:
 def reading_motion(
     hand: CapturedHand, frames: Sequence[float] | None = None
 ) -> Generator[None, None, Motion]:
-    """What a captured hand does on scene frames; None: from its first key to its last, on its keys and on
-    every frame between them. Raises OptionError where it has no keys.
+    """Read, in steps, what a captured hand does on scene frames, and return it; None: from its first key to
+    its last, on its keys and on every frame between them. Raises OptionError where it has no keys.
 
     Its keys are read, or, where anything else moves it (layers, constraints, controls), what it shows: that
     takes a step per frame, and the scene is back where it was afterwards.
@@ -176,7 +177,8 @@ def reading_motion(
 
 
 def motion_of(take: Take, track: HandTrack, model: str | None = None) -> Motion:
-    """What a hand of a take does, on the take's own frames and on every frame in gaps, without building it.
+    """Return what a hand of a take does, on the take's own frames and on every frame in gaps, without
+    building it.
 
     `model` is taken instead of the one that the take names. Raises HandModelError, and TakeError where frames
     lie beyond Blender's timeline.
@@ -250,7 +252,7 @@ def applying(
 
 @dataclass(frozen=True, eq=False)
 class Computed:
-    """What hands are to do, before any of it is written."""
+    """The keys that hands are to get, before any of them is written."""
 
     keys: list[BoneKeys]
     applied: list[Applied]
@@ -259,7 +261,7 @@ class Computed:
 def computing(
     armature: bpy.types.Object, hands: Sequence[tuple[HandMap, Motion]], onto: TransferOptions
 ) -> Generator[float, None, Computed]:
-    """What `applying` writes, and raises; nothing is changed."""
+    """Compute the keys that `applying` writes without writing any; raises what `applying` raises."""
     keys, applied = [], []
     if onto.time_offset:
         check_moved_in_time(armature, [motion.frames for _, motion in hands], onto.time_offset)
@@ -301,8 +303,8 @@ def computing(
 
 
 def _arm_of(armature: bpy.types.Object, hand_map: HandMap, motion: Motion) -> tuple[Arm | None, str | None]:
-    """The character's arm that is to do what a motion's does, or a sentence why it cannot; None and None
-    where the motion has no arm."""
+    """Return the character's arm that is to do what a motion's does, or a sentence why it cannot; None and
+    None where the motion has no arm."""
     if motion.arm is None:
         return None, None
     try:
@@ -329,7 +331,7 @@ def _write_into_present(armature: bpy.types.Object, keys: Sequence[BoneKeys]) ->
 
 
 def record_all_written_keys(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> None:
-    """Note what was written into the present action."""
+    """Note on the present action which keys were written into it."""
     data = armature.animation_data
     for one in keys:
         record_written_keys(armature, data.action, action_slot(data), one)
@@ -387,8 +389,10 @@ def within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.nda
 def _moving(
     armature: bpy.types.Object, target: TargetHand, motion: Motion, onto: TransferOptions
 ) -> Generator[float, None, BoneKeys]:
-    """Keys of the bone that moves the whole hand, in steps, as `moved` has it. What is in keys that were
-    written with an offset before has that taken out of where the hand is in the marked frame."""
+    """Compute the keys of the bone that moves the whole hand, in steps, as `moved` has it.
+
+    What is in keys that were written with an offset before has that taken out of where the hand is in the
+    marked frame."""
     side, control = target.hand_map.side, target.hand_map.moved_by
     check_movable(armature, control)
     anchor = onto.anchors.get(side)
@@ -427,7 +431,7 @@ def _moving(
 
 
 def check_movable(armature: bpy.types.Object, control: str) -> None:
-    """Raises OptionError where keys of the bone that moves a whole hand would be for nothing."""
+    """Raise OptionError where keys of the bone that moves a whole hand would be for nothing."""
     why = why_not_turned(armature, control)
     if why is not None:
         raise OptionError(
@@ -448,7 +452,7 @@ def moved(
     places: np.ndarray,
     travel: float,
 ) -> np.ndarray:
-    """(T, 4, 4) how the bone that moves the whole hand is to stand in the armature's space.
+    """Return (T, 4, 4), how the bone that moves the whole hand is to stand in the armature's space.
 
     Let the captured wrist be turned by O (T, 3, 3) and lie at p (T, 3), and the character's hand bone be
     turned by Q from its rest and lie at x. In the anchor's moment the two are to look alike, which makes
@@ -471,8 +475,8 @@ def moved(
 
 
 def channels_of(bone: bpy.types.Bone, standing: np.ndarray, parent: np.ndarray) -> Matrix:
-    """What a bone that stands so in the armature's space (4, 4) has in its channels, where its parent, if it
-    has one, stands so."""
+    """Return the channels, as a (4, 4) matrix relative to its rest, of a bone that stands so in the
+    armature's space (4, 4), where its parent, if it has one, stands as `parent` says."""
     above = {}
     if bone.parent is not None:
         above = {"parent_matrix": Matrix(parent), "parent_matrix_local": bone.parent.matrix_local}
@@ -530,8 +534,9 @@ def adjusting(
 def prepared(
     armature: bpy.types.Object, hand_map: HandMap, source: SourceHand, *, fingers_only: bool
 ) -> tuple[TargetHand, np.ndarray, list[str]]:
-    """What keys of a hand of the same side need to know: the hand, which of its bones can be keyed (K,)
-    bool, and why the others cannot. Raises HandModelError and OptionError where keys would be for nothing."""
+    """Return what keys of a character's hand, from motion of its own side, need: the hand, which of its bones
+    can be keyed (K,) bool, and why the others cannot. Raises HandModelError and OptionError where keys would
+    be for nothing."""
     check(armature, why_not_reachable(armature))
     found = troubles(armature, replace(hand_map, control="") if fingers_only else hand_map)
     if found:
@@ -547,7 +552,7 @@ def prepared(
 
 
 def why_not_turned(armature: bpy.types.Object, name: str) -> str | None:
-    """Why keys on a bone's rotation would be for nothing, or are not wanted; None where they count."""
+    """Return why keys on a bone's rotation would be for nothing, or are not wanted; None where they count."""
     bone = armature.pose.bones[name]
     for constraint in bone.constraints:
         if constraint.type in _TURNING and constraint.enabled and constraint.influence > 0.0:
@@ -564,7 +569,7 @@ def why_not_turned(armature: bpy.types.Object, name: str) -> str | None:
 
 
 def check_own_keys(armature: bpy.types.Object, into: Into) -> None:
-    """Raises OptionError where keys that are put there could not be written, or would not be shown."""
+    """Raise OptionError where keys that are put there could not be written, or would not be shown."""
     check_unlayered(armature)
     data = armature.animation_data
     if data is None:
@@ -594,7 +599,7 @@ def check_own_keys(armature: bpy.types.Object, into: Into) -> None:
 
 
 def _check_uncovered(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> None:
-    """Raises OptionError where the present action, which lies above all strips, has curves of these bones."""
+    """Raise OptionError where the present action, which lies above all strips, has curves of these bones."""
     paths = {curve.data_path for curve in present_curves(armature)}
     for one in keys:
         starts = tuple(f"{bone_path(name)}.rotation" for name in np.array(one.rig.bones)[one.keyed])
@@ -617,8 +622,9 @@ def _give(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, into:
 
 
 def hand_messages(armature: bpy.types.Object, side: Side, wanted: bool) -> list[tuple[str, str]]:
-    """What a hand was taken for, and what stands in its way: sentences and their icons. That the character
-    lacks it is no error where nothing would move it, and the other hand is known."""
+    """Return sentences, with their icons, about what a hand was taken for and what stands in its way.
+
+    That the character lacks it is no error where nothing would move it, and the other hand is known."""
     messages = []
     if is_damaged(armature, side):
         text = "The kept table of this hand is damaged and not used: press Bones > Recognise Again"
@@ -660,5 +666,5 @@ def hand_messages(armature: bpy.types.Object, side: Side, wanted: bool) -> list[
 
 
 def _capitalised_name_kept(sentence: str) -> str:
-    """With a capital letter, except where it begins with a bone's name."""
+    """Return a sentence with a capital letter, except where it begins with a bone's name."""
     return sentence if set("._") & set(sentence.partition(" ")[0]) else sentence[:1].upper() + sentence[1:]

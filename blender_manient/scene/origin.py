@@ -26,7 +26,7 @@ from .simplify import all_actions, keeping_simplified
 from .store import CapturedHand, is_deformed_by
 
 _MOVING = ("location", "rotation", "scale", "delta_")
-"""How the data paths begin that move an object"""
+"""The beginnings of the data paths that move an object"""
 
 
 def origin_to_wrist(hand: CapturedHand) -> None:
@@ -57,7 +57,8 @@ def origin_to_wrist(hand: CapturedHand) -> None:
 
 
 def why_not_at_wrist(armature: bpy.types.Object) -> str | None:
-    """Why its origin cannot go to the wrist, in a sentence for a tooltip; None where it can."""
+    """Return why the origin of a hand's object cannot go to the wrist, in a sentence for a tooltip; None
+    where it can."""
     data = armature.animation_data
     if is_tweaked(armature):  # Blender hides the action on top, whose keys would have to follow
         return "A strip of the NLA is being edited: leave tweak mode first"

@@ -33,17 +33,18 @@ from .keys import PoseKeys, nearest, pose_at, read_pose_keys, read_table, table_
 from .store import CapturedHand, hand_of, scene_frames
 
 _SAME_TURN = 1e-4
-"""radians. Rotations that are nearer than this are the same"""
+"""Radians within which rotations count as equal"""
 _SAME_PLACE = 1e-5
-"""metres"""
+"""Metres within which places count as equal"""
 _POSE = 3 + 45 + 3
-"""Numbers of a pose: global_orient and hand_pose as axis-angle in radians, and where the wrist is in the
-camera frame, metres. They stay true when the hand's proportions change"""
+"""How many numbers a pose has: global_orient and hand_pose as axis-angle in radians, and where the wrist is
+in the camera frame, metres. They stay true when the hand's proportions change"""
 
 
 def keyed_by_hand(hand: CapturedHand, rows: np.ndarray) -> np.ndarray:
-    """(N, 17) bool: whether the 16 bones' rotations and the wrist's location have a key of the artist's own
-    on the scene frames of the take's `rows` (N,), increasing. Raises TakeError and HandModelError."""
+    """Return (N, 17) bool: whether the 16 bones' rotations and the wrist's location have a key of the
+    artist's own on the scene frames of the take's `rows` (N,), increasing. Raises TakeError and
+    HandModelError."""
     frames = scene_frames(hand.collection, hand.take)[rows]
     found = np.zeros((len(rows), NUM_JOINTS + 1), dtype=bool)
     if len(rows) == 0:
@@ -57,8 +58,9 @@ def keyed_by_hand(hand: CapturedHand, rows: np.ndarray) -> np.ndarray:
 
 
 def captured_poses(hand: CapturedHand, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What the capture found in the take's `rows` (N,): quaternions (N, 16, 4) and wrist locations (N, 3)
-    about the bones as they are now; NaN where there is no hand. Raises HandModelError."""
+    """Return the poses that the capture found in the take's `rows` (N,): quaternions (N, 16, 4) as (w, x, y,
+    z) and wrist locations (N, 3) in metres, about the bones as they are now; NaN where there is no hand.
+    Raises HandModelError."""
     return hand.to_bones(at_rows(hand.track, rows))
 
 
@@ -79,8 +81,8 @@ def note_fitted(
 
 
 def _fitted(hand: CapturedHand, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The noted poses of the take's `rows` (N,), as `captured_poses`; NaN for those that were not fitted
-    again."""
+    """Return the noted poses of the take's `rows` (N,), shaped as those of `captured_poses`; NaN for rows
+    that were not fitted again."""
     noted, poses = _noted(hand.armature), np.full((len(rows), _POSE), np.nan)
     if len(noted):
         at, on = nearest(noted[:, 0], np.asarray(hand.take.frame_numbers, dtype=np.float64)[rows])
@@ -90,15 +92,16 @@ def _fitted(hand: CapturedHand, rows: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _holds(keys: PoseKeys, quats: np.ndarray, locations: np.ndarray) -> np.ndarray:
-    """(N, 17) bool: whether keys (N) hold these poses, (N, 16, 4) and (N, 3); never where one is NaN."""
+    """Return (N, 17) bool: whether keys on N frames hold these rotations (N, 16, 4) and wrist locations (N,
+    3); never where one is NaN."""
     turned = np.linalg.norm(correction_between(keys.quats, quats), axis=-1)
     moved = np.linalg.norm(keys.locations - locations, axis=-1)
     return np.column_stack([turned < _SAME_TURN, moved < _SAME_PLACE])
 
 
 def _noted(armature: bpy.types.Object) -> np.ndarray:
-    """(N, 52) what `note_fitted` has kept: source frame, increasing, and pose. Nothing where that cannot be
-    read: then keys count as made by hand."""
+    """Return (N, 52), the source frames, increasing, and poses that `note_fitted` has kept; nothing where
+    that cannot be read: then keys count as made by hand."""
     try:
         return read_table(armature.manient.fitted, 1 + _POSE)
     except ValueError:
@@ -107,7 +110,7 @@ def _noted(armature: bpy.types.Object) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """Keys that are not written yet."""
+    """Keys of a motion that was fitted again, which are not written yet."""
 
     keys: PoseKeys
     field: CorrectionField
@@ -115,13 +118,14 @@ class Smoothed:
     numbers: list[int]
     """The M source frames that were fitted again"""
     quats: np.ndarray
-    """(M, 16, 4) their keys without corrections; where the artist has keyed: the new motion"""
+    """(M, 16, 4) the quaternions (w, x, y, z) of these frames' keys without corrections; where the artist has
+    keyed: of the new motion"""
     locations: np.ndarray
-    """(M, 3)"""
+    """(M, 3) metres: the wrist locations of these frames' keys without corrections"""
 
     @property
     def written(self) -> int:
-        """How many frames get new keys on at least one bone."""
+        """Return how many frames get new keys on at least one bone."""
         return int((self.keys.rotation_keyed.any(axis=1) | self.keys.location_keyed).sum())
 
 
@@ -133,12 +137,11 @@ def smoothed(
     locations: np.ndarray,
     spread: float,
 ) -> Smoothed:
-    """What becomes of the keys on the take's `rows` (N,), increasing, where the motion is fitted again.
+    """Compute the keys on the take's `rows` (N,), increasing, where the motion is fitted again.
 
     `wanted` (N,) bool: the rows that get it; the others are fitted to lead there. quats (N, 16, 4) and
-    locations (N, 3) are the motion about the bones' rest, NaN without a hand. What stays is led to over
-    `spread` source frames. Raises TakeError and HandModelError.
-    """
+    locations (N, 3) in metres are the motion about the bones' rest, NaN without a hand. What stays is led to
+    over `spread` source frames. Raises TakeError and HandModelError."""
     places = scene_frames(hand.collection, hand.take)[rows]
     numbers = np.asarray(hand.take.frame_numbers, dtype=np.float64)[rows]
     there = np.asarray(np.isfinite(locations).all(axis=1))
@@ -188,7 +191,7 @@ def smoothed(
 def _on_top(
     one: Correction, quats: np.ndarray, location: np.ndarray, shown: np.ndarray, shown_at: np.ndarray
 ) -> Correction:
-    """A correction that leads from another pose, (16, 4) and (3,), to the frame's present one."""
+    """Return the correction that leads from another pose, (16, 4) and (3,), to the frame's present one."""
     start = one.start_rotation, one.start_location
     if one.posed:  # pins are measured against the pose that the artist gave, which is the same as before
         posed = changed_quats(shown, one.rotation, one.start_rotation)

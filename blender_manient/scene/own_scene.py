@@ -84,13 +84,13 @@ _TRANSFORMS = {
     "rotation_axis_angle": 4,
     "scale": 3,
 }
-"""Properties of objects and of pose bones, and how many numbers each has"""
+"""Properties of objects and of pose bones, each with how many numbers it has"""
 
 
 @contextlib.contextmanager
 def _transforms_kept() -> Iterator[None]:
-    """Animated objects and bones stand afterwards as they stood, whatever frames were shown in between: what
-    the artist moved and did not key yet would be lost with the first frame."""
+    """Have animated objects and bones stand afterwards as they stood, whatever frames were shown in between:
+    what the artist moved and did not key yet would be lost with the first frame."""
     before = [(obj, _transforms(obj)) for obj in bpy.data.objects if obj.animation_data is not None]
     try:
         yield
@@ -101,7 +101,7 @@ def _transforms_kept() -> Iterator[None]:
 
 
 def _transforms(obj: bpy.types.Object) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """For each property the object's own numbers (n,), and those of its bones one after the other."""
+    """Return for each property the object's own numbers (n,), and those of its bones one after the other."""
     bones = obj.pose.bones if obj.pose is not None else None
     found = {}
     for name, count in _TRANSFORMS.items():
@@ -113,7 +113,7 @@ def _transforms(obj: bpy.types.Object) -> dict[str, tuple[np.ndarray, np.ndarray
 
 
 def _set_transforms(obj: bpy.types.Object, kept: dict[str, tuple[np.ndarray, np.ndarray]]) -> bool:
-    """Set what differs from `kept`, as `_transforms` gave it; whether anything did."""
+    """Set the transforms that differ from `kept`, which `_transforms` gave; return whether any did."""
     changed = False
     for name, (own, posed) in _transforms(obj).items():
         kept_own, kept_posed = kept[name]
@@ -128,7 +128,7 @@ def _set_transforms(obj: bpy.types.Object, kept: dict[str, tuple[np.ndarray, np.
 
 @contextlib.contextmanager
 def with_values(values: Iterable[tuple[Any, str, Any]]) -> Iterator[None]:
-    """Attributes of data-blocks and their parts have these values meanwhile: owner, name, value."""
+    """Give attributes of data-blocks and their parts these values within: owner, name, value."""
     before = []
     try:
         for owner, name, value in values:
@@ -144,10 +144,9 @@ def with_values(values: Iterable[tuple[Any, str, Any]]) -> Iterator[None]:
 def shown_in_pose(
     objects: Iterable[bpy.types.Object | None],
 ) -> contextlib.AbstractContextManager[None]:
-    """Objects that the artist hid, and armatures left in Rest Position, are shown as they move meanwhile.
+    """Have objects that the artist hid, and armatures left in Rest Position, be shown as they move within.
 
-    Blender evaluates nothing that is hidden: it would be read as it stood when it was hidden.
-    """
+    Blender evaluates nothing that is hidden: it would be read as it stood when it was hidden."""
     there = [obj for obj in objects if obj is not None]
     values: list[tuple[Any, str, Any]] = [(obj, "hide_viewport", False) for obj in there]
     values += [(obj, "hide_render", False) for obj in there]

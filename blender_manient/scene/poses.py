@@ -53,9 +53,9 @@ from .store import CapturedHand, active_hand, captured_hands, hand_of
 from .timing import span_of
 
 PROPERTY = "manient_pose"
-"""What a pose asset's metadata keeps the pose under"""
+"""The key under which a pose asset's metadata keeps its pose"""
 _PREVIEW = 128
-"""pixels of a side of an asset's picture"""
+"""Pixels of each side of an asset's picture"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,13 +65,13 @@ class Posed:
     frames: np.ndarray
     """(N,) scene frames, increasing"""
     quats: np.ndarray
-    """(N, B, 4); NaN for bones that stay"""
+    """(N, B, 4) quaternions (w, x, y, z) relative to the bones' rest; NaN for bones that stay"""
     span: Span | None
-    """None: it is for the current frame alone"""
+    """The span of frames on which the pose stands; None: it is for the current frame alone"""
 
     @property
     def moved(self) -> np.ndarray:
-        """(B,) bool: the bones that the pose moves."""
+        """Return (B,) bool: the bones that the pose moves."""
         return np.isfinite(self.quats[0, :, 0])
 
 
@@ -85,14 +85,16 @@ class PosableHand(ABC):
 
     @abstractmethod
     def read(self) -> Pose:
-        """The pose that it shows."""
+        """Return the pose that the hand shows."""
 
     def towards(
         self, context: bpy.types.Context, pose: Pose | None, blend: float, requested: RequestedFrames
     ) -> Posed:
-        """What brings the fingers of selected bones, of none all fingers, towards a pose (None: the rest
-        pose) on the frames that are asked for: by `blend`, 0..1, of the way from where they are. Changes
-        nothing. Raises HandModelError, OptionError and TakeError."""
+        """Return the rotations that bring the fingers of selected bones, of none all fingers, towards a pose
+        (None: the rest pose) on the frames that are asked for: by `blend`, 0..1, of the way from where they
+        are.
+
+        Changes nothing. Raises HandModelError, OptionError and TakeError."""
         requested.check()
         wanted = self._rest() if pose is None else self._quats(pose)
         wanted = np.where(self._chosen(context)[:, None], wanted, np.nan)
@@ -106,26 +108,28 @@ class PosableHand(ABC):
 
     @abstractmethod
     def opposite(self, context: bpy.types.Context) -> PosableHand:
-        """The other side's hand, whose pose this one gets mirrored. Raises OptionError for none."""
+        """Return the other side's hand, which gets this one's pose mirrored. Raises OptionError where there
+        is none."""
 
     @abstractmethod
     def _frames(
         self, context: bpy.types.Context, requested: RequestedFrames, moved: np.ndarray
     ) -> tuple[Span, np.ndarray]:
-        """The span, RANGE or HOLD, and the (N,) scene frames on which the bones that are moved (B,) get keys
-        for it. Raises HandfitError."""
+        """Return the span, RANGE or HOLD, and the scene frames (N,) on which the bones that are moved (B,)
+        get keys for it. Raises HandfitError."""
 
     def _rest(self) -> np.ndarray:
-        """(B, 4) the bones' rotations at rest."""
+        """Return the bones' rotations at rest, (B, 4) quaternions (w, x, y, z)."""
         return np.tile([1.0, 0.0, 0.0, 0.0], (len(self.rig.bones), 1))
 
     def is_selected(self, context: bpy.types.Context) -> bool:
-        """True if any bone of it is, in Pose mode."""
+        """True if any bone of the hand is selected, in Pose mode."""
         return bool(self._selected(context))
 
     @abstractmethod
     def _quats(self, pose: Pose) -> np.ndarray:
-        """(B, 4) the bones' rotations in the pose; NaN for bones that cannot be keyed."""
+        """Return the bones' rotations in the pose, (B, 4) quaternions (w, x, y, z); NaN for bones that cannot
+        be keyed."""
 
     @abstractmethod
     def put(self, context: bpy.types.Context, posed: Posed) -> None:
@@ -139,7 +143,8 @@ class PosableHand(ABC):
         return with_moved(self.rig.armature, self.rig.bones, names) & self._own
 
     def _chosen(self, context: bpy.types.Context) -> np.ndarray:
-        """(B,) bool"""
+        """Return (B,) bool: the bones that poses are put on, those of fingers with selected bones, or of all
+        fingers where none has one."""
         selected = self._selected(context)
         of_selected = {
             j for name, js in zip(self.rig.bones, self._joints, strict=True) if name in selected for j in js
@@ -150,7 +155,7 @@ class PosableHand(ABC):
 
 
 class _CapturedPosable(PosableHand):
-    """A captured hand."""
+    """A captured hand that poses are put on and read from."""
 
     def __init__(self, hand: CapturedHand) -> None:
         super().__init__(hand.rig, [(joint,) for joint in range(NUM_JOINTS)], {*hand.rig.bones})
@@ -169,7 +174,7 @@ class _CapturedPosable(PosableHand):
         ]
 
     def opposite(self, context: bpy.types.Context) -> PosableHand:
-        """The other hand of the same capture, else the scene's only one."""
+        """Return the other hand of the same capture, else the scene's only one of the other side."""
         others = [o for o in captured_hands(context.scene) if o.manient.side != self._hand.side]
         others = [o for o in others if o.manient.capture == self._hand.collection] or others
         found = [hand for hand in map(hand_of, others) if hand is not None]
@@ -183,7 +188,7 @@ class _CapturedPosable(PosableHand):
     def _frames(
         self, context: bpy.types.Context, requested: RequestedFrames, moved: np.ndarray
     ) -> tuple[Span, np.ndarray]:
-        """A key on every frame of the captured motion."""
+        """Return the span, and every frame of the captured motion in it, which gets a key."""
         keys, now = read_pose_keys(self.rig), context.scene.frame_current_final
         if len(keys.frames) == 0 or not keys.rotation_keyed[:, moved].any():
             raise OptionError(f"{self._hand.armature.name!r} has no keys: put the pose on this frame alone")
@@ -205,7 +210,7 @@ class _CapturedPosable(PosableHand):
         return span, frames_between(union([inside, np.array(ends)]))
 
     def put(self, context: bpy.types.Context, posed: Posed) -> None:
-        """Bones that are animated get keys, others one on the current frame with Auto Keying."""
+        """Key the pose on bones that are animated; on others, on the current frame, with Auto Keying."""
         armature, moved = self._hand.armature, posed.moved
         auto = posed.span is None and context.scene.tool_settings.use_keyframe_insert_auto
         keyed = moved & (read_pose_keys(self.rig).rotation_keyed.any(axis=0) | auto)
@@ -236,7 +241,7 @@ class _CapturedPosable(PosableHand):
 
 
 class _CharacterPosable(PosableHand):
-    """A character's hand."""
+    """A character's hand that poses are put on and read from."""
 
     def __init__(self, armature: bpy.types.Object, hand_map: HandMap) -> None:
         self._armature, self._model = armature, kept_model(OPEN_HAND, hand_map.side)
@@ -246,7 +251,7 @@ class _CharacterPosable(PosableHand):
         super().__init__(rig, list(self._target.joints), {*rig.bones, *hand_map.bones, hand_map.moved_by})
 
     def read(self) -> Pose:
-        """The pose that is shown, with constraints and controls, relative to the hand's own bone."""
+        """Return the pose that is shown, with constraints and controls, relative to the hand's own bone."""
         shown = self._armature.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones
         names = [self._target.hand_map.bones[0], *self._target.bones]
         now = rotations_of(np.array([shown[name].matrix for name in names], dtype=np.float64))
@@ -264,12 +269,13 @@ class _CharacterPosable(PosableHand):
         return np.where(found.keyed[:, None], found.keys.quats[0], np.nan)
 
     def _rest(self) -> np.ndarray:
-        """(B, 4) the rotations at rest of the bones that a pose would key; NaN for the others."""
+        """Return the rotations at rest, (B, 4) quaternions (w, x, y, z), of the bones that a pose would key;
+        NaN for the others."""
         unkeyed = np.isnan(self._quats(Pose(self._source.side, np.zeros(3 * (NUM_JOINTS - 1)))))
         return np.where(unkeyed, np.nan, super()._rest())
 
     def opposite(self, context: bpy.types.Context) -> PosableHand:  # noqa: ARG002
-        """The character's other hand."""
+        """Return the character's other hand."""
         side = other_side(self._source.side)
         table = table_of(self._armature, side)
         if table == empty_map(side):
@@ -281,7 +287,8 @@ class _CharacterPosable(PosableHand):
     def towards(
         self, context: bpy.types.Context, pose: Pose | None, blend: float, requested: RequestedFrames
     ) -> Posed:
-        """What brings fingers towards a pose; raises OptionError where `put` could not key it."""
+        """Return the rotations that bring the fingers towards a pose; raises OptionError where `put` could
+        not key them."""
         check_own_keys(self._armature, "ACTION")
         posed = super().towards(context, pose, blend, requested)
         check_unlocked(self.rig, joints=np.flatnonzero(posed.moved).tolist(), location=False)
@@ -290,7 +297,8 @@ class _CharacterPosable(PosableHand):
     def _frames(
         self, context: bpy.types.Context, requested: RequestedFrames, moved: np.ndarray
     ) -> tuple[Span, np.ndarray]:
-        """The keys that are there, the span's ends, and where its blending does."""
+        """Return the span, and the frames of the keys that are there, of the span's ends and of those of its
+        blending."""
         keys, now = read_pose_keys(self.rig), context.scene.frame_current_final
         own = keys.frames[keys.rotation_keyed[:, moved].any(axis=1)]
         upcoming = next_run_start(own, now)
@@ -301,7 +309,7 @@ class _CharacterPosable(PosableHand):
         return span, union([own[(own > begin) & (own < end)], np.array(ends)])
 
     def put(self, context: bpy.types.Context, posed: Posed) -> None:  # noqa: ARG002
-        """Key all bones that move."""
+        """Key all bones that the pose moves."""
         keys = PoseKeys.everywhere(posed.frames, np.nan_to_num(posed.quats))
         write_pose_keys(self.rig, keys.only(posed.moved, False))
         if posed.span is None:
@@ -312,8 +320,8 @@ class _CharacterPosable(PosableHand):
 
 
 def posed_by(context: bpy.types.Context) -> CapturedHand | bpy.types.Object | None:
-    """What the artist's poses are put on: the active captured hand or the active character, else the scene's
-    only captured hand."""
+    """Return what the artist's poses are put on: the active captured hand or the active character, else the
+    scene's only captured hand."""
     obj = context.active_object
     hand = hand_of(obj) if obj is not None else None
     armature = character_of(obj)
@@ -323,7 +331,8 @@ def posed_by(context: bpy.types.Context) -> CapturedHand | bpy.types.Object | No
 
 
 def why_not_posable(context: bpy.types.Context, *, reading: bool = False) -> str | None:
-    """Why no pose can be put on a hand here, or read from one: a sentence for a tooltip."""
+    """Return why no pose can be put on a hand here, or read from one, a sentence for a tooltip; None where it
+    can."""
     owner = posed_by(context)
     if owner is None:
         return "Select a captured hand first, or a character whose hands are known: its armature or its mesh"
@@ -335,7 +344,7 @@ def why_not_posable(context: bpy.types.Context, *, reading: bool = False) -> str
 
 
 def posable_hands(context: bpy.types.Context) -> list[PosableHand]:
-    """The hands that `posed_by` has: of a character's those with selected bones, of none both. Raises
+    """Return the hands that `posed_by` has: of a character's those with selected bones, of none both. Raises
     HandModelError."""
     owner = posed_by(context)
     assert owner is not None  # as the operators' polls see to
@@ -346,13 +355,14 @@ def posable_hands(context: bpy.types.Context) -> list[PosableHand]:
 
 
 def _maps(armature: bpy.types.Object) -> list[HandMap]:
-    """The tables of its hands that are known and used."""
+    """Return the tables of an armature's hands that are known and used."""
     tables = (table_of(armature, side) for side in SIDES if getattr(armature.manient.character, side).use)
     return [table for table in tables if table != empty_map(table.side)]
 
 
 def pose_named(name: str) -> Pose:
-    """A pose asset of this file, else a ready pose. Raises OptionError, HandModelError."""
+    """Return the pose of a pose asset of this file, else the ready pose, of that name. Raises OptionError,
+    HandModelError."""
     if not name:
         raise OptionError("choose a pose first")
     action = bpy.data.actions.get(name)
@@ -365,7 +375,7 @@ def pose_named(name: str) -> Pose:
 
 
 def kept_pose(metadata: Any) -> Pose:
-    """The pose in an asset's metadata. Raises HandModelError."""
+    """Return the pose in an asset's metadata. Raises HandModelError."""
     return Pose.of_values(property_group(metadata, PROPERTY))
 
 
@@ -382,11 +392,12 @@ def _is_pose(action: bpy.types.Action) -> bool:
 
 _previews: Any = None
 _items: list[tuple[str, str, str, int, int]] = []
-"""Blender does not keep the texts of an enumeration's items"""
+"""The items of the last list of poses, kept because Blender does not keep the texts of an enumeration's
+items"""
 
 
 def pose_items(_settings: Any, _context: bpy.types.Context | None) -> list[tuple[str, str, str, int, int]]:
-    """All poses, as items with pictures: the ready ones, then those of this file."""
+    """Return all poses, as items with pictures: the ready ones, then those of this file."""
     global _previews
     if _previews is None:
         _previews = bpy.utils.previews.new()
@@ -407,7 +418,7 @@ def pose_items(_settings: Any, _context: bpy.types.Context | None) -> list[tuple
 
 
 def forget_previews() -> None:
-    """Let go of the pictures."""
+    """Forget the pictures of poses."""
     global _previews
     if _previews is not None:
         bpy.utils.previews.remove(_previews)

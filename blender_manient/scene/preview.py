@@ -26,12 +26,12 @@ from .proof import is_whole_png, prove_whole
 from .render_setup import SUNS, picture_card, sun
 
 LONGEST_SIDE = 1200
-"""pixels of one half of a preview"""
+"""Pixels of the longer side of each half of a preview, at most"""
 MISSING = (0.18, 0.18, 0.18)
-"""Shown where the picture file is gone"""
+"""The sRGB colour that is shown where the picture file is gone"""
 _SAMPLES = 16
 _SKIN_SAMPLES = 64
-"""Skin scatters light"""
+"""How many samples per pixel Cycles takes of hands: their skin scatters light"""
 
 
 def render_preview(
@@ -49,7 +49,7 @@ def render_preview(
 def preview_rows(
     built: BuiltTake, take: Take, frame: int, *, max_megapixels: float | None = None
 ) -> np.ndarray:
-    """The preview of a frame as rows (H, 2 W, 3) of sRGB values 0..1, the first row on top."""
+    """Return the preview of a frame as rows (H, 2 W, 3) of sRGB values 0..1, the first row on top."""
     scale = min(1.0, LONGEST_SIDE / max(take.width, take.height))
     plate, _ = load_plate(take, max_megapixels=max_megapixels)
     try:
@@ -66,11 +66,10 @@ def preview_rows(
 
 
 def render_plate(plate: Plate, take: Take, frame: int, scale: float) -> np.ndarray:
-    """The picture of one frame as rows (H, W, 4) of sRGB values 0..1, the first row on top.
+    """Return the picture of one frame as rows (H, W, 4) of sRGB values 0..1, the first row on top.
 
-    Rendering is the one way to a movie's frames that works in every Blender without a window. Each
-    sample stays within its pixel, so at scale 1 the picture comes out as it went in.
-    """
+    Rendering is the one way to a movie's frames that works in every Blender without a window. Each sample
+    stays within its pixel, so at scale 1 the picture comes out as it went in."""
     with _scene(take, scale) as scene:
         camera = build_camera("preview plate", take, None)
         card = picture_card("preview card", plate, take, 1.0)
@@ -109,7 +108,7 @@ def write_png(rows: np.ndarray, path: Path) -> Path:
 
 
 def spread_frames(take: Take, count: int) -> list[int]:
-    """Up to `count` source frame numbers with a hand in them, evenly spread over the take."""
+    """Return up to `count` source frame numbers with a hand in them, evenly spread over the take."""
     seen = np.any([track.present for track in take.hands], axis=0)
     numbers = np.asarray(take.frame_numbers)[seen]
     picked = np.linspace(0, len(numbers) - 1, min(count, len(numbers))).round().astype(int)
@@ -117,7 +116,8 @@ def spread_frames(take: Take, count: int) -> list[int]:
 
 
 def render_hands(built: BuiltTake, take: Take, frame: int, scale: float) -> np.ndarray:
-    """The hands of that frame over nothing, through the solved camera: rows (H, W, 4), straight alpha."""
+    """Return the hands of that frame over nothing, through the solved camera: rows (H, W, 4) of sRGB values
+    0..1 with straight alpha."""
     row = int(np.searchsorted(take.frame_numbers, frame))
     with _scene(take, scale) as scene:
         lights = [sun("preview light", *placed) for placed in SUNS]
@@ -139,7 +139,7 @@ def render_hands(built: BuiltTake, take: Take, frame: int, scale: float) -> np.n
 
 @contextlib.contextmanager
 def _scene(take: Take, scale: float) -> Iterator[bpy.types.Scene]:
-    """A scene of the take's picture size that shows colours as they are, removed afterwards.
+    """Make a scene of the take's picture size that shows colours as they are, removed afterwards.
 
     It is the open one meanwhile, since movies and image sequences follow that one's frame whichever scene is
     rendered. Blender has no window here that an artist looks at.

@@ -25,13 +25,14 @@ from .matching import is_untouched
 from .store import has_properties
 
 SUNS = ((-40.0, 42.0, 3.4), (55.0, 10.0, 1.0), (160.0, 40.0, 1.8))
-"""Key, fill and rim: degrees from the camera's axis (to the right, up), then strength in W/m2"""
+"""The key, fill and rim lights: each its degrees from the camera's axis (to the right, up), then its strength
+in W/m2"""
 OURS = "hand_render_setup"
 """Custom property of the cards and suns, by which they are found again"""
 _CARD_PLACE = 0.9
-"""of the camera's far clip distance"""
+"""Where the card stands, as a share of the camera's far clip distance"""
 _BEYOND = 0.05
-"""of the picture's width and height"""
+"""How far the card reaches beyond the view, as a share of the picture's width and height"""
 
 
 def set_up(
@@ -55,7 +56,7 @@ def set_up(
 
 
 def add_picture_plane(name: str, camera: bpy.types.Object, take: Take, plate: Plate) -> bpy.types.Object:
-    """A card with the picture, which only renders see, hung on the camera of a capture or view of that
+    """Make a card with the picture, which only renders see, hung on the camera of a capture or view of that
     name; linked to no collection yet."""
     card = picture_card(named_after(name, "picture"), plate, take, _CARD_PLACE * camera.data.clip_end)
     card.hide_viewport = card.hide_select = True  # there the camera's background shows the picture
@@ -80,13 +81,11 @@ def put_in_force(scene: bpy.types.Scene, made: list[bpy.types.Object]) -> None:
 
 
 def follow_camera(scene: bpy.types.Scene) -> None:
-    """Have renders show the card and the suns that hang on the scene's camera instead of those of other
-    captures, each kind for itself.
+    """Have renders show the picture card and the suns of one capture, each kind for itself.
 
-    Before a camera of the artist's own they are those of the capture that was chosen last, else those that
-    renders have shown so far; where these were deleted, the latest of the others take their place. As long as
-    no other camera's turn comes, nothing is changed: a card that the artist has hidden stays hidden.
-    """
+    It is the capture whose camera is the scene's; else the one chosen last; else the one shown so far; else
+    the latest. While that stays the same nothing is changed, so a hidden card stays hidden. A kind that this
+    capture lacks stays as it is."""
     objects = list(scene.objects)
     ours = [thing for thing in objects if OURS in thing]
     cameras = [thing.parent for thing in ours if thing.parent in objects]
@@ -105,8 +104,9 @@ def follow_camera(scene: bpy.types.Scene) -> None:
 
 
 def picture_card(name: str, plate: Plate, take: Take, distance: float) -> bpy.types.Object:
-    """A glowing card that fills the view of a camera at the world's origin with the picture, at that distance
-    before it. It reaches a little beyond the view, since a render's outermost pixels see beyond it too."""
+    """Make a glowing card that fills the view of a camera at the world's origin with the picture, at that
+    distance before it. It reaches a little beyond the view, since a render's outermost pixels see beyond it
+    too."""
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (1.0 + 2.0 * _BEYOND) - _BEYOND
     corners = (uv * [1.0, -1.0] + [0.0, 1.0]) * [take.width, take.height]
     mesh = bpy.data.meshes.new(name)
@@ -131,7 +131,7 @@ def picture_card(name: str, plate: Plate, take: Take, distance: float) -> bpy.ty
 
 
 def sun(name: str, right: float, up: float, strength: float) -> bpy.types.Object:
-    """A soft sun from behind a camera at the world's origin that looks along +Y; see `SUNS`."""
+    """Make a soft sun from behind a camera at the world's origin that looks along +Y; see `SUNS`."""
     light = bpy.data.lights.new(name, "SUN")
     light.energy = strength
     light.angle = math.radians(20.0)
@@ -153,8 +153,8 @@ def _is_lit(scene: bpy.types.Scene) -> bool:
 
 
 def _rendered(part: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
-    """The objects of a collection and those in it that renders show. A view layer's own list of objects would
-    lack what was linked since it was last updated."""
+    """Yield the objects of a collection and those in it that renders show. A view layer's own list of objects
+    would lack what was linked since it was last updated."""
     if part.collection.hide_render:
         return
     if not part.exclude:
@@ -164,11 +164,12 @@ def _rendered(part: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
 
 
 _seen: dict[int, tuple[int, int, int]] = {}
-"""session_uid of a scene -> what it was when `follow_camera` was last asked about it"""
+"""By a scene's session_uid, the state in which `follow_camera` last saw that scene"""
 
 
 def _on_update(scene: bpy.types.Scene, *_args) -> None:
-    """Another camera, or a deletion. Blender calls this after every step: what it compares is cheap."""
+    """Follow another camera, or a deletion. Blender calls this after every step: what it compares is
+    cheap."""
     settings = scene.manient
     if not settings.is_property_set("rendered_camera"):
         return
@@ -186,5 +187,5 @@ HANDLERS = {"depsgraph_update_post": _on_update}
 
 
 def unregister() -> None:
-    """Forget what scenes were."""
+    """Forget the states in which scenes were last seen."""
     _seen.clear()

@@ -45,12 +45,12 @@ from .simplify import all_actions, keeping_simplified
 from .store import CapturedHand, hand_of
 
 APPLIED = "betas"
-"""The armature's custom property: the shape that mesh and rig have now"""
+"""Custom property of the armature with the shape that mesh and rig have now"""
 _DELAY = 0.03
-"""seconds from a slider's change to the hand's"""
+"""Seconds from a slider's change to the hand's"""
 
 _waiting: set[int] = set()
-"""session_uid of the armatures that are to be reshaped"""
+"""The session_uid of each armature that is to be reshaped"""
 _troubles: dict[int, str] = {}
 _last_seconds = 0.0
 
@@ -82,20 +82,20 @@ def _has_its_betas(armature: bpy.types.Object) -> bool:
 
 
 def _wanted_wrist(armature: bpy.types.Object) -> Wrist:
-    """An open wrist has no vertices for a cap or a forearm."""
+    """Return the wrist that a hand is to have; an open one has no vertices for a cap or a forearm."""
     if armature.manient.wrist == "open":
         return "open"
     return "forearm" if armature.manient.forearm else "cap"
 
 
 def trouble(armature: bpy.types.Object) -> str | None:
-    """Why the hand could not follow its sliders: one sentence for the panel, None where it did."""
+    """Return why the hand could not follow its sliders, one sentence for the panel; None where it did."""
     return _troubles.get(armature.session_uid)
 
 
 def shape_names_of(hand: CapturedHand) -> tuple[str | None, ...]:
-    """Names of the (10,) shape sliders, by what they do in the hand's model; None for those without a name,
-    which all are where the model cannot be read. Cheap enough for drawing."""
+    """Return the names of the (10,) shape sliders, by what they do in the hand's model; None for those
+    without a name, which all are where the model cannot be read. Cheap enough for drawing."""
     try:
         return _names(kept_model(hand.take.model, hand.side))
     except HandModelError:
@@ -169,7 +169,7 @@ def _reshape_or_note(armature: bpy.types.Object) -> None:
 
 
 def _note(armature: bpy.types.Object, sentence: str) -> None:
-    """A property cannot report: the panel shows the sentence, and so does a popup, once."""
+    """Show a sentence in the panel and once in a popup, since a property cannot report."""
     if _troubles.get(armature.session_uid) == sentence:
         return
     _troubles[armature.session_uid] = sentence
@@ -182,7 +182,7 @@ def _note(armature: bpy.types.Object, sentence: str) -> None:
 
 
 def _catch_up() -> None:
-    """The timer: reshape what waits. Runs without a context of its own."""
+    """Reshape the hands that wait; Blender's timer calls this, without a context of its own."""
     waiting = set(_waiting)
     _waiting.clear()
     windows = bpy.context.window_manager.windows
@@ -195,14 +195,15 @@ def _catch_up() -> None:
 
 
 def _after_time_travel(*_: Any) -> None:
-    """Undo, redo and loading may end between a slider's change and the hand's."""
+    """Reshape hands that differ from their sliders: undo, redo and loading may end between a slider's change
+    and the hand's."""
     for armature in [o for o in bpy.data.objects if o.type == "ARMATURE" and o.library is None]:
         if not is_current(armature):
             shape_changed(armature)
 
 
 def _reshape_rig(rig: Rig, shaped: ShapedHand) -> None:
-    """New rest bones, and every key and the present pose about the new axes."""
+    """Give the rig new rest bones, and every key and the present pose about the new axes."""
     holders = filter(None, [channels(action, slot) for action, slot in all_actions(rig.armature)])
     kept = [(holder, read_pose_keys(rig, holder=holder)) for holder in holders]
     quats, locations = pose_at(rig, np.zeros(1), holder=_NOTHING)
@@ -218,11 +219,12 @@ def _reshape_rig(rig: Rig, shaped: ShapedHand) -> None:
 
 
 _NOTHING = SimpleNamespace(fcurves=())
-"""An action's channels without any: what the bones say beside their keys"""
+"""Stands for an action's channels without any curves: what the bones say beside their keys"""
 
 
 def _turn_corrections(armature: bpy.types.Object, old: RestPose, new: RestPose) -> None:
-    """Corrections are kept about the bones' axes too; else they could not be taken out of the keys again."""
+    """Turn the corrections to the bones' new axes, about which they are kept; else they could not be taken
+    out of the keys again."""
     turn = np.swapaxes(new.frames, -1, -2) @ old.frames
 
     def turned(c: Correction) -> Correction:
@@ -245,7 +247,8 @@ def _reshape_mesh(
     old: tuple[HandModel, ShapedHand, RestPose],
     new: tuple[HandModel, ShapedHand, RestPose],
 ) -> None:
-    """`old` and `new`: the model with its wrist, its shape, and how the bones lie at rest."""
+    """Give the mesh a new shape; `old` and `new` are each the model with its wrist, its shape, and how the
+    bones lie at rest."""
     (old_model, before, old_rest), (model, after, rest) = old, new
     mesh = obj.data
     moved = axes.points_to_rest(after.vertices - before.vertices)
@@ -265,7 +268,8 @@ def _reshape_mesh(
 
 @lru_cache(maxsize=2)
 def _offsets(model: HandModel, frames: bytes) -> np.ndarray:
-    """What one step of a slider ends with, the next one begins with."""
+    """Return the model's corrective offsets for a shape from a cache: the shape with which one step of a
+    slider ends is that with which the next one begins."""
     return axes.corrective_offsets(model, np.frombuffer(frames).reshape(-1, 3, 3))
 
 
@@ -281,6 +285,6 @@ TIMERS = (_catch_up,)
 
 
 def unregister() -> None:
-    """Forget what waits."""
+    """Forget the hands that wait to be reshaped."""
     _waiting.clear()
     _troubles.clear()

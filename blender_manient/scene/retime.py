@@ -61,8 +61,8 @@ from .timing import Timing, frame_rate, nearest_rate, view_timing
 
 
 def other_rate(scene: bpy.types.Scene, collection: bpy.types.Collection | None) -> float:
-    """Frames per second of the scene that a capture was built for, where the scene has another rate by now;
-    else 0. Cheap enough for drawing."""
+    """Return the frames per second of the scene that a capture was built for, where the scene has another
+    rate by now; else 0. Cheap enough for drawing."""
     built = collection.manient.scene_rate if collection is not None else 0.0
     return built if built > 0.0 and is_other_rate(frame_rate(scene), built) else 0.0
 
@@ -135,7 +135,7 @@ def _check_clip(take: Take) -> None:
 
 
 def _retimed_take(kept: Take, captured: Take, rate: float) -> Take:
-    """The captured take at the scene's rate, with the hands that only the kept one has."""
+    """Return the captured take at the scene's rate, with the hands that only the kept one has."""
     other = is_other_rate(rate, captured.fps)
     take = retimed(captured, rate / captured.fps) if other else captured
     first = int(kept.frame_numbers[0])
@@ -146,8 +146,8 @@ def _retimed_take(kept: Take, captured: Take, rate: float) -> Take:
 
 
 def _retimed_keys(hand: CapturedHand, first: int, number: int, ratio: float) -> tuple[PoseKeys, Any, Any]:
-    """A hand's keys at the new rate, its corrections by the new numbers, and which (N,) of the keys' frames
-    are no keys by hand."""
+    """Return a hand's keys at the new rate, its corrections by the new numbers, and which (N,) of the keys'
+    frames are no keys by hand."""
     old = corrections_of(hand.armature)
     new = retimed_field(old, number, ratio)
 
@@ -174,10 +174,11 @@ def _sampled(
     corrected: np.ndarray,
     changed: Callable[..., Any] = lambda _own, _times, quats, places: (quats, places),
 ) -> PoseKeys:
-    """The keys of a hand's own bones or of its arm's at the new rate, of their present motion at that time.
+    """Return the keys of a hand's own bones or of its arm's at the new rate, of their present motion at that
+    time.
 
-    `changed` gets frames of the new keys, which frames they were, and the poses there, and gives the poses.
-    """
+    `changed` gets frames of the new keys, which frames they were, and the poses there, and gives the
+    poses."""
     keys = read_pose_keys(bones)
     step = int(np.diff(hand.take.frame_numbers).min()) if len(hand.take.frame_numbers) > 1 else 1
     dense = np.inf if is_smooth(bones) else step + 0.5

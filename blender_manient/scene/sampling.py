@@ -16,14 +16,14 @@ from .actions import present_curves
 from .own_scene import object_mode, shown_in_pose, unseen_scene
 
 _AT_ONCE = 20
-"""frames that Blender evaluates in one slice"""
+"""How many frames Blender evaluates in one slice"""
 _SHEARED = 1e-4
-"""how far the axes of a bone, of length 1, may be from its nearest rotation"""
+"""How far the axes of a bone, of length 1, may be from its nearest rotation"""
 
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """An armature on N frames. Matrices are Blender's: columns are axes and origin."""
+    """The bones that an armature shows on N frames. Matrices are Blender's: columns are axes and origin."""
 
     names: tuple[str, ...]
     """The B bones, parents before children"""
@@ -37,11 +37,11 @@ class Sampled:
     """(N, 4, 4) the armature's space in the world, in the scene's units"""
 
     def of(self, names: Sequence[str]) -> np.ndarray:
-        """(N, K, 4, 4) the named bones, posed in the armature's space."""
+        """Return (N, K, 4, 4) the named bones, posed in the armature's space."""
         return self.pose[:, [self.names.index(name) for name in names]]
 
     def basis(self) -> np.ndarray:
-        """(N, B, 4, 4) what each bone does relative to its rest and its parent."""
+        """Return (N, B, 4, 4) what each bone does relative to its rest and its parent."""
         found = np.empty_like(self.pose)
         for bone, parent in enumerate(self.parents):
             if parent < 0:
@@ -52,11 +52,11 @@ class Sampled:
         return found
 
     def reparented(self, tree: Mapping[str, str]) -> Sampled:
-        """The bones of `tree` alone, which maps each bone's name to its new parent's, empty for a root.
+        """Return the bones of `tree` alone, which maps each bone's name to its new parent's, empty for a
+        root.
 
         Files hold no shear: where a bone would have it because one above is stretched, those above keep their
-        places, turns and volume, and lose the stretch.
-        """
+        places, turns and volume, and lose the stretch."""
         at = [self.names.index(name) for name in tree]
         order = {name: index for index, name in enumerate(tree)}
         parents = tuple(order.get(parent, -1) for parent in tree.values())
@@ -77,7 +77,7 @@ class Sampled:
         return found
 
     def without(self, names: Collection[str]) -> Sampled:
-        """The armature without the named bones, whose children become roots."""
+        """Return the armature without the named bones, whose children become roots."""
         kept = [index for index, name in enumerate(self.names) if name not in names]
         parents = tuple(kept.index(self.parents[i]) if self.parents[i] in kept else -1 for i in kept)
         return replace(
@@ -124,14 +124,14 @@ def stepped(scene: bpy.types.Scene, frames: Iterable[float]) -> Iterator[bpy.typ
 
 
 def shown_now(armature: bpy.types.Object) -> Sampled:
-    """What the open scene shows at its present frame."""
+    """Return the bones that the open scene shows at its present frame."""
     resting = _at_rest(armature)
     pose, world = _shown(armature, bpy.context.evaluated_depsgraph_get(), resting.names)
     return replace(resting, pose=pose[None], world=world[None])
 
 
 def _at_rest(armature: bpy.types.Object, wanted: Collection[str] | None = None) -> Sampled:
-    """An armature on no frame."""
+    """Return the bones of an armature on no frame."""
     # Parents come before children.
     bones = [bone for bone in armature.data.bones if wanted is None or bone.name in wanted]
     place = {bone.name: index for index, bone in enumerate(bones)}
@@ -147,8 +147,8 @@ def _at_rest(armature: bpy.types.Object, wanted: Collection[str] | None = None) 
 def _shown(
     armature: bpy.types.Object, depsgraph: bpy.types.Depsgraph, names: Iterable[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(B, 4, 4) bones of those names in the armature's space and (4, 4) that in the world, as they were
-    evaluated."""
+    """Return the bones of those names in the armature's space, (B, 4, 4), and that space in the world, (4,
+    4), as they were evaluated."""
     shown = armature.evaluated_get(depsgraph)
     # Copied: Blender hands out views of what the next frame overwrites.
     pose = [shown.pose.bones[name].matrix for name in names]
@@ -158,7 +158,8 @@ def _shown(
 def sample_unseen(
     armature: bpy.types.Object, frames: Iterable[float], names: Collection[str] | None = None
 ) -> Sampled:
-    """`sample` in a scene that no window opens; what is hidden or in Rest Position is shown in it."""
+    """Sample as `sample` does in a scene that no window opens; what is hidden or in Rest Position is shown in
+    it."""
     with object_mode(), unseen_scene("sampled") as scene, shown_in_pose([armature]):
         scene.collection.objects.link(armature)
         return sample(armature, frames, scene, names)
@@ -170,8 +171,8 @@ def sampling_unseen(
     names: Collection[str] | None = None,
     around: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
 ) -> Generator[float, None, Sampled]:
-    """`sample_unseen`, some frames at a time; yields how much is done, 0..1. Blender evaluates them in a
-    context that `around` makes."""
+    """Sample as `sample_unseen` does, some frames at a time; yields how much is done, 0..1. Blender evaluates
+    them in a context that `around` makes."""
     parts = []
     for start in range(0, len(frames), _AT_ONCE):
         with around():
@@ -195,18 +196,20 @@ def rests(armature: bpy.types.Object, bone: bpy.types.Bone) -> bool:
 
 
 def sampled_pose(rig: PosedBones, frames: Iterable[float]) -> tuple[np.ndarray, np.ndarray]:
-    """What the bones show on N frames, whatever moves them."""
+    """Return the pose that the bones show on N frames, whatever moves them: quaternions (N, B, 4) as (w, x,
+    y, z) and the first one's locations (N, 3)."""
     return of_bones(rig, sample_unseen(rig.armature, frames))
 
 
 def of_bones(rig: PosedBones, sampled: Sampled) -> tuple[np.ndarray, np.ndarray]:
-    """The B bones relative to their rest and parents: quaternions (N, B, 4), the first one's place (N, 3)."""
+    """Return the B bones relative to their rest and parents: quaternions (N, B, 4) as (w, x, y, z), and the
+    first one's place (N, 3)."""
     basis = sampled.basis()[:, [sampled.names.index(name) for name in rig.bones]]
     return unflip_quats(rotmat_to_quat(rotations_of(basis))), basis[:, 0, :3, 3]
 
 
 def rotations_of(matrices: np.ndarray) -> np.ndarray:
-    """(..., 4, 4) or (..., 3, 3) matrices with some scale -> their nearest rotations (..., 3, 3)."""
+    """Return the rotations (..., 3, 3) nearest to matrices (..., 4, 4) or (..., 3, 3) with some scale."""
     left, _, right = np.linalg.svd(matrices[..., :3, :3])
     sign = np.linalg.det(left @ right)
     left[..., :, 2] *= sign[..., None]

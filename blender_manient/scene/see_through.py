@@ -24,17 +24,18 @@ _COPIED_STRUCTS = ("image_user", "clip_user")
 _AS_CAPTURED = "As Captured"
 """The name of the constraints that put a hand before its camera"""
 _LIMITS = {"LIMIT_LOCATION": "use_{}_{}", "LIMIT_ROTATION": "use_limit_{1}", "LIMIT_SCALE": "use_{}_{}"}
-"""Constraints, and what switches their limits on: at `min` or `max`, of an axis"""
+"""By type of constraint, the name of the property that switches its limit on, at `min` or `max`, of an
+axis"""
 
 
 @dataclass(frozen=True)
 class _Shown:
     camera: BlockReference
-    """the object"""
+    """The camera before which the hand is shown"""
     hand: BlockReference
-    """the armature"""
+    """The armature of the hand that is shown"""
     place: Matrix
-    """of the hand as it was captured, in the camera's frame"""
+    """The matrix of the hand as it was captured, in the camera's frame"""
     opacity: Callable[[], float]
 
 
@@ -42,7 +43,7 @@ _shown: _Shown | None = None
 
 
 class Copied(bpy.types.PropertyGroup):
-    """A picture of which a camera has a copy: one of the two."""
+    """A picture of which a camera has a copy: either an image or a movie clip."""
 
     image: bpy.props.PointerProperty(type=bpy.types.Image)  # type: ignore
     clip: bpy.props.PointerProperty(type=bpy.types.MovieClip)  # type: ignore
@@ -59,7 +60,7 @@ def begin(
 
 
 def follow(*_: object) -> None:
-    """Show as much as the opacity asks for now."""
+    """Show the hand as opaque as `opacity` says now."""
     if _shown is None or (camera := _shown.camera.find()) is None:
         return
     lay_over(camera.data, _shown.opacity())
@@ -78,7 +79,7 @@ def hide(*_: object) -> None:
 
 
 def end() -> None:
-    """Leave nothing behind. May be called twice."""
+    """Take the copies and the constraints away. May be called twice."""
     global _shown
     hide()
     _shown = None
@@ -162,7 +163,7 @@ def _picture(
 
 
 def _copy(source: bpy.types.bpy_struct, target: bpy.types.bpy_struct) -> None:
-    """All settings of one struct to another of its kind."""
+    """Copy all settings of one struct to another of its kind."""
     for setting in source.bl_rna.properties:
         name = setting.identifier
         if not setting.is_readonly:
@@ -172,7 +173,7 @@ def _copy(source: bpy.types.bpy_struct, target: bpy.types.bpy_struct) -> None:
 
 
 def _on_change(*_args) -> None:
-    """An undo, a redo or a file may have brought copies and constraints."""
+    """Take copies and constraints away that an undo, a redo or a file has brought back."""
     for camera in bpy.data.cameras:
         take_away(camera)
     for obj in bpy.data.objects:
@@ -200,5 +201,5 @@ PROPERTIES = {
 
 
 def unregister() -> None:
-    """Leave no copies behind."""
+    """Take all copies away when the add-on is disabled."""
     end()

@@ -44,24 +44,26 @@ from .keys import (
 from .store import CapturedHand, active_hand, hand_of
 
 DENSE = "manient_all_keys"
-"""Custom property of an action with fewer keys: the action with all of them"""
+"""Custom property of an action with fewer keys that points to the action with all of them"""
 _NOTE = "manient_simplified"
-"""Custom property of an action with fewer keys: what is needed to tell whether it was changed since, and to
-go back"""
+"""Custom property of an action with fewer keys with what is needed to tell whether it was changed since, and
+to go back"""
 _MOST_FRAMES = 100_000
 PARTS = (*FINGERS, "wrist")
-"""What can be simplified for itself: fingers, and where the hand is and how it is turned"""
+"""The parts of a hand that can be simplified by themselves: each finger, and the place and rotation of the
+hand"""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """How a motion is to be simplified."""
+    """The bounds within which a motion is simplified."""
 
     degrees: float = 2.0
     pixels: float = 2.0
-    """Not asked for where no camera saw the hand"""
+    """How far points may move in the picture, in pixels; not asked for where no camera saw the hand"""
     together: str = "FINGER"
-    """What has its keys on common frames: ALL, each FINGER, or nothing but each BONE"""
+    """Which bones have their keys on common frames: ALL, those of each FINGER, or nothing but each BONE by
+    itself"""
     parts: frozenset[str] = frozenset(PARTS)
     """the names of `PARTS` to simplify; the others keep their keys"""
 
@@ -93,13 +95,13 @@ class Thinned:
 
     @property
     def after(self) -> int:
-        """The number of keys that the chosen bones' channels will have."""
+        """Return the number of keys that the chosen bones' channels will have."""
         return sum(spline.values.size for spline in self.result.splines)
 
 
 def hands_to_simplify(context: bpy.types.Context) -> list[Hand]:
-    """The active captured hand and its arm, else the hands of the active character; none where there is
-    neither."""
+    """Return the active captured hand and its arm, else the hands of the active character; none where there
+    is neither."""
     armature, captured = active_character(context), active_hand(context)
     if captured is not None and (armature is None or hand_of(context.active_object) is not None):
         parts = ["wrist"] * NUM_JOINTS
@@ -179,7 +181,7 @@ def thinning(hand: Hand, bounds: Bounds) -> Generator[int, None, Thinned]:
 
 
 def state_of(hand: Hand) -> str:
-    """A digest of all that `thinning` reads of a hand: its keys, above all."""
+    """Return a digest of all that `thinning` reads of a hand: its keys, above all."""
     armature, data = hand.rig.armature, hand.rig.armature.animation_data
     users = (
         [] if data is None or data.action is None else [(data.action, action_slot(data)), _source(armature)]
@@ -192,7 +194,8 @@ def state_of(hand: Hand) -> str:
 
 
 def _groups(parts: Sequence[str], together: str) -> list[int]:
-    """For each channel, given its part, the number of its group: channels of one group share their frames."""
+    """Return for each channel, given its part, the number of its group: channels of one group have their keys
+    on common frames."""
     names = list(dict.fromkeys(parts))
     if together == "BONE":
         return list(range(len(parts)))
@@ -231,14 +234,14 @@ def write(armature: bpy.types.Object, thinned: Sequence[Thinned]) -> None:
 
 
 def kept_action(armature: bpy.types.Object) -> bpy.types.Action | None:
-    """The action with all keys behind the present one; None where there is none."""
+    """Return the action with all keys behind the present one; None where there is none."""
     data = armature.animation_data
     return _dense_action(data.action) if data is not None else None
 
 
 def own_kept_actions(armature: bpy.types.Object) -> list[tuple[bpy.types.Action, Any]]:
-    """All actions with more keys behind the motion, each with the armature's slot. Those that something else
-    uses too are copied first."""
+    """Return all actions with more keys behind the motion, each with the armature's slot. Those that
+    something else uses too are copied first."""
     user, found = motion_user(armature), []
     action = user.action if user is not None else None
     while (dense := _dense_action(action)) is not None and dense not in [one for one, _ in found]:
@@ -252,15 +255,15 @@ def own_kept_actions(armature: bpy.types.Object) -> list[tuple[bpy.types.Action,
 
 
 def all_actions(armature: bpy.types.Object) -> list[tuple[bpy.types.Action, Any]]:
-    """All actions of an armature that can be changed, and those behind its motion, each with its slot: for
-    who changes all keys alike."""
+    """Return all actions of an armature that can be changed, and those behind its motion, each with its slot:
+    for who changes all keys alike."""
     return [*used_actions(armature), *own_kept_actions(armature)]
 
 
 @contextlib.contextmanager
 def keeping_simplified(armature: bpy.types.Object) -> Iterator[None]:
-    """What is done within to the keys of an armature's motion is done to those of the actions behind it too:
-    motion that was not changed since it was simplified still counts as not changed afterwards."""
+    """Have what is done within to the keys of an armature's motion be done to those of the actions behind it
+    too: motion that was not changed since it was simplified still counts as not changed afterwards."""
     user = motion_user(armature)
     same = user is not None and _dense_action(user.action) is not None and _is_unchanged(user)
     yield
@@ -320,8 +323,8 @@ def forget_all_keys(action: bpy.types.Action) -> None:
 
 
 def _source(armature: bpy.types.Object) -> tuple[Any, Any]:
-    """The action, and its slot, that is to be simplified: the present one, or where that was simplified and
-    not changed since, the one with all keys."""
+    """Return the action, and its slot, that is to be simplified: the present one, or where that was
+    simplified and not changed since, the one with all keys."""
     data = armature.animation_data
     if data is None or data.action is None:
         return None, None
@@ -333,7 +336,8 @@ def _source(armature: bpy.types.Object) -> tuple[Any, Any]:
 
 
 def _note(action: bpy.types.Action) -> dict[str, Any]:
-    """What was noted when an action was simplified; of one that holds none, or another's, what does least."""
+    """Return the note that was made when an action was simplified; for an action without one, or with
+    another's, the note that does least."""
     noted = property_group(action, _NOTE)
     return {
         "name": str(noted.get("name", action.name)),
@@ -343,7 +347,7 @@ def _note(action: bpy.types.Action) -> dict[str, Any]:
 
 
 def _digest(action: bpy.types.Action, slot: Any) -> str:
-    """A digest of an action's keys."""
+    """Return a digest of an action's keys."""
     found = hashlib.sha256()
     for curve in sorted(curves_in(channels(action, slot)), key=lambda c: (c.data_path, c.array_index)):
         points = curve.keyframe_points

@@ -24,9 +24,9 @@ from .store import CapturedHand, scene_frames, timing_of
 from .timing import frame_rate, span_of
 
 _AROUND = 0.5
-"""seconds before and after the current frame that are suggested where nothing else tells"""
+"""Seconds before and after the current frame that are suggested where nothing else tells"""
 _ADJACENT = 1.5
-"""frames: keys that are nearer to each other are one motion"""
+"""Frames between keys below which they belong to one motion"""
 
 Scope = Literal["HERE", "RANGE", "HOLD"]
 
@@ -58,7 +58,7 @@ class RequestedFrames:
     spread: float = 0.0
 
     def check(self) -> None:
-        """Raises OptionError where a range runs backwards."""
+        """Raise OptionError where a range runs backwards."""
         if self.scope == "RANGE" and self.first > self.last:
             raise OptionError(
                 f"the range runs backwards, from frame {self.first:g} to {self.last:g}: put the earlier "
@@ -68,24 +68,24 @@ class RequestedFrames:
 
 @dataclass(frozen=True)
 class Span:
-    """Scene frames on which a pose stands."""
+    """The scene frames on which a pose stands, and over which it blends in and out."""
 
     first: float
     last: float
     spread: float
-    """frames before and after over which it blends with what is there"""
+    """The scene frames before and after over which the pose blends with what is there"""
     is_open: bool = False
     """True if nothing comes after `last`"""
 
     def weights(self, frames: np.ndarray) -> np.ndarray:
-        """(N,) scene frames -> how much of the pose they have, 0..1."""
+        """Return how much of the pose scene frames (N,) have, 0..1 each."""
         away = np.maximum(self.first - frames, 0.0 if self.is_open else frames - self.last)
         return fade(np.maximum(away, 0.0) / max(self.spread, 1.0))
 
 
 def requested_span(requested: RequestedFrames, now: float, upcoming: float | None, last: float) -> Span:
-    """The span of frames that were asked for, RANGE or HOLD, at the frame `now` of a motion whose next key is
-    `upcoming`; where there is none it ends at `last`. Raises OptionError."""
+    """Return the span of frames that were asked for, RANGE or HOLD, at the frame `now` of a motion whose next
+    key is `upcoming`; where there is none it ends at `last`. Raises OptionError."""
     requested.check()
     if requested.scope == "RANGE":
         return Span(requested.first, requested.last, requested.spread)
@@ -96,8 +96,8 @@ def requested_span(requested: RequestedFrames, now: float, upcoming: float | Non
 
 
 def next_key(hand: CapturedHand, now: float) -> float | None:
-    """The scene frame after `now` where the next correction, pose or key of the artist's own begins on a
-    captured hand; None for none. Raises TakeError and HandModelError."""
+    """Return the scene frame after `now` where the next correction, pose or key of the artist's own begins on
+    a captured hand; None for none. Raises TakeError and HandModelError."""
     numbers = np.asarray(hand.take.frame_numbers)
     step = float(np.diff(numbers).min(initial=1 << 30)) if len(numbers) > 1 else 1.0
     begun = correction_starts(corrections_of(hand.armature), _ADJACENT * max(step, 1.0))
@@ -109,7 +109,8 @@ def next_key(hand: CapturedHand, now: float) -> float | None:
 
 
 def correction_starts(field: CorrectionField, adjacent: float) -> list[float]:
-    """The source frames of corrections that do not go on with those of frames at most `adjacent` before."""
+    """Return the source frames of corrections that do not go on with those of frames at most `adjacent`
+    before."""
     found, before, posed = [], -np.inf, False
     for frame in field.corrected:
         one = field.corrections[frame]
@@ -120,8 +121,8 @@ def correction_starts(field: CorrectionField, adjacent: float) -> list[float]:
 
 
 def next_run_start(keyed: np.ndarray, now: float) -> float | None:
-    """The first of these scene frames (N,) of keys, increasing, after `now` that does not follow on another
-    key at once; None for none."""
+    """Return the first of these scene frames (N,) of keys, increasing, after `now` that does not follow on
+    another key at once; None for none."""
     return _next(keyed[np.append(True, np.diff(keyed) > _ADJACENT)[: len(keyed)]], now)
 
 
@@ -131,9 +132,10 @@ def _next(places: np.ndarray, now: float) -> float | None:
 
 
 def suggested_range(scene: bpy.types.Scene, hand: CapturedHand | None) -> tuple[int, int]:
-    """First and last scene frame that are likely meant: the preview range; else the doubtful range, or the
-    reach of the correction, that the current frame is in; else half a second around it. Raises HandfitError.
-    """
+    """Return the first and last scene frame that are likely meant.
+
+    They are the preview range; else the doubtful range, or the reach of the correction, that the current
+    frame is in; else half a second around it. Raises HandfitError."""
     now, around = scene.frame_current, max(1, round(_AROUND * frame_rate(scene)))
     if hand is None:
         return span_of(scene) if scene.use_preview_range else (now - around, now + around)

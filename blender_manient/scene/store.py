@@ -37,18 +37,19 @@ from .keys import nearest
 from .timing import Timing, view_timing
 
 _CACHED = 8
-"""takes that are kept decoded"""
+"""How many takes are kept decoded"""
 _CHUNK = 3 << 18
-"""bytes that are encoded at once (a multiple of 3), in some milliseconds"""
+"""How many bytes are encoded at once (a multiple of 3), in some milliseconds"""
 
 _SAME_JOINTS = 1e-3
-"""metres within which two models' joints are the same"""
+"""Metres within which the joints of two models count as equal"""
 
 _BEYOND = 2.0**31
-"""What Blender takes for no frame number any more, and raises"""
+"""The frame number from which on Blender raises an error instead of taking it"""
 
 _cache: OrderedDict[str, Take | TakeError] = OrderedDict()
-"""Digest -> what it decodes to. Undo and other files change the digest, never what belongs to it"""
+"""By the digest of a take's text, the take that it decodes to, or the error. Undo and other files change the
+digest, never what belongs to it"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +58,11 @@ class CapturedHand:
 
     armature: bpy.types.Object
     mesh: bpy.types.Object | None
-    """None where the artist deleted it"""
+    """The hand's mesh object; None where the artist deleted it"""
     camera: bpy.types.Object | None
-    """The camera that saw it; None where the artist deleted it"""
+    """The camera that saw the hand; None where the artist deleted it"""
     collection: bpy.types.Collection
-    """Keeps the take"""
+    """The collection that keeps the hand's take"""
     take: Take
     track: HandTrack
     index: int
@@ -70,30 +71,30 @@ class CapturedHand:
 
     @property
     def meshes(self) -> tuple[bpy.types.Object, ...]:
-        """What exporters write beside its bones."""
+        """Return the mesh objects that exporters write beside the hand's bones."""
         return () if self.mesh is None else (self.mesh,)
 
     @property
     def rig(self) -> Rig:
-        """The bones of the armature, as a rig."""
+        """Return the bones of the armature, as a rig."""
         return rig_of(self.armature, self.side)
 
     @property
     def betas(self) -> np.ndarray:
-        """(10,) the shape that its sliders say."""
+        """Return the shape that the hand's sliders say: (10,) coefficients of the hand model."""
         return np.array(self.armature.manient.betas, dtype=np.float64)
 
     def shaped(self) -> ShapedHand:
-        """The hand's model in the shape of `betas`. Raises HandModelError."""
+        """Return the hand's model in the shape of `betas`. Raises HandModelError."""
         return self.model().shaped(self.betas)
 
     def model(self) -> HandModel:
-        """The model that it was captured with. Raises HandModelError."""
+        """Return the model that the hand was captured with. Raises HandModelError."""
         return kept_model(self.take.model, self.side)
 
     def to_bones(self, motion: HandMotion, wrist: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Any hand's motion about this one's bones: quaternions (T, 16, 4) and wrist locations (T, 3) in
-        metres, NaN in frames without a hand; mirrored at x = 0 where it is of the other side.
+        """Return any hand's motion about this one's bones: quaternions (T, 16, 4) and wrist locations (T, 3)
+        in metres, NaN in frames without a hand; mirrored at x = 0 where it is of the other side.
 
         Fingers get its rotations, the wrist its place. `wrist` (3,) metres in the model frame is where that
         lies before it is moved; None: where this hand's model has it in the motion's shape. Raises
@@ -113,7 +114,8 @@ class CapturedHand:
         return quats, locations
 
     def is_of_other_model(self) -> bool:
-        """True if the model's joints lie elsewhere now; False where it cannot be read."""
+        """True if the model's joints lie elsewhere now than in the capture; False where the model cannot be
+        read."""
         try:
             return is_of_other_model(self.take, self.track, self.model())
         except HandModelError:
@@ -155,12 +157,12 @@ def keeping_take(
 
 
 def keep_take(collection: bpy.types.Collection, take: Take) -> None:
-    """`keeping_take` at once."""
+    """Keep a take in its collection at once, as `keeping_take` does in steps."""
     run_to_completion(keeping_take(collection, take))
 
 
 def kept_take(collection: bpy.types.Collection) -> Take:
-    """The take that a collection keeps, decoded once. Raises TakeError."""
+    """Return the take that a collection keeps, decoded once. Raises TakeError."""
     if not has_properties() or not collection.manient.digest:
         raise TakeError(
             f"the collection {collection.name} keeps no take, so its hands cannot be refined; import the "
@@ -170,8 +172,8 @@ def kept_take(collection: bpy.types.Collection) -> Take:
 
 
 def captured_take(collection: bpy.types.Collection) -> Take:
-    """The take as it was captured, at the clip's own rate: the kept one, unless that is retimed. Hands that
-    were added or mirrored since are in the kept one alone. Raises TakeError."""
+    """Return the take as it was captured, at the clip's own rate: the kept one, unless that is retimed. Hands
+    that were added or mirrored since are in the kept one alone. Raises TakeError."""
     kept = collection.manient
     if has_properties() and kept.source_digest:
         return _read(collection, "source_take", kept.source_digest)
@@ -179,8 +181,8 @@ def captured_take(collection: bpy.types.Collection) -> Take:
 
 
 def captured_hands(scene: bpy.types.Scene, *, shown: bool = False) -> list[bpy.types.Object]:
-    """The armatures of a scene's captured hands, by the names of their captures and their own; with `shown`
-    without those of hidden captures. Decodes nothing."""
+    """Return the armatures of a scene's captured hands, by the names of their captures and their own; with
+    `shown` without those of hidden captures. Decodes nothing."""
     if not has_properties():
         return []
     hands = [o for o in scene.objects if o.type == "ARMATURE" and o.manient.is_hand]
@@ -194,7 +196,7 @@ def is_in_hidden_capture(obj: bpy.types.Object) -> bool:
 
 
 def hand_of(obj: bpy.types.Object) -> CapturedHand | None:
-    """The captured hand that an armature or its mesh belongs to.
+    """Return the captured hand that an armature or its mesh belongs to.
 
     None for all other objects, and for hands whose take is not there, as of ones that were copied to another
     file without their collection. `kept_take` says what is wrong. None also for one whose shape or place is
@@ -229,7 +231,8 @@ def hand_of(obj: bpy.types.Object) -> CapturedHand | None:
 
 
 def active_hand(context: bpy.types.Context) -> CapturedHand | None:
-    """The captured hand that the artist works on: the active object's, else the only one that is shown."""
+    """Return the captured hand that the artist works on: the active object's, else the only one that is
+    shown."""
     if context.active_object is not None:
         hand = hand_of(context.active_object)
         if hand is not None:
@@ -241,8 +244,8 @@ def active_hand(context: bpy.types.Context) -> CapturedHand | None:
 def captures_of(
     context: bpy.types.Context, kind: str, files: Sequence[str]
 ) -> Iterator[bpy.types.Collection]:
-    """The scene's captures of a source: that of the active hand before others, newer ones before older ones.
-    Raises TakeError."""
+    """Yield the scene's captures of a source: that of the active hand before others, newer ones before older
+    ones. Raises TakeError."""
     hand = active_hand(context)
     first = [hand.collection] if hand is not None else []
     for capture in [*first, *reversed(context.scene.collection.children_recursive)]:
@@ -253,8 +256,8 @@ def captures_of(
 
 
 def attached_objects(hand: CapturedHand) -> list[bpy.types.Object]:
-    """What else hangs on the hand or is deformed by it, by name: rings, gloves, another mesh of its own, what
-    it holds."""
+    """Return the other objects that hang on the hand or are deformed by it, by name: rings, gloves, another
+    mesh of its own, what it holds."""
     armature = hand.armature
     others = [
         o
@@ -267,7 +270,8 @@ def attached_objects(hand: CapturedHand) -> list[bpy.types.Object]:
 
 
 def rows_at(collection: bpy.types.Collection, take: Take, frames: np.ndarray) -> np.ndarray:
-    """(N,) the take's rows that scene frames (N,) show; -1 for those that lie between rows."""
+    """Return the rows (N,) of the take, as indices, that scene frames (N,) show; -1 for frames that lie
+    between rows."""
     timing = timing_of(collection)
     numbers = np.asarray(take.frame_numbers, dtype=np.float64)
     wanted = timing.source_frames(frames)
@@ -278,15 +282,15 @@ def rows_at(collection: bpy.types.Collection, take: Take, frames: np.ndarray) ->
 
 
 def timing_of(collection: bpy.types.Collection) -> Timing:
-    """Where the collection's take lies in its scene's time; on its own frames, where the file names a place
-    that no timeline reaches."""
+    """Return where the collection's take lies in its scene's time; on its own frames, where the file names a
+    place that no timeline reaches."""
     offset, scale = collection.manient.frame_offset, collection.manient.frame_scale
     farthest = abs(offset) + abs(scale) * MEDIA.max_frame_number
     return Timing(offset, scale) if scale and farthest < _BEYOND else Timing()
 
 
 def clip_timing(collection: bpy.types.Collection) -> Timing:
-    """Where the frames of the captured clip lie in its scene's time; between whole frames, where it is
+    """Return where the frames of the captured clip lie in its scene's time; between whole frames, where it is
     retimed. Raises TakeError."""
     rows, take, captured = timing_of(collection), kept_take(collection), captured_take(collection)
     if captured is take:
@@ -297,8 +301,8 @@ def clip_timing(collection: bpy.types.Collection) -> Timing:
 
 
 def row_of_view(collection: bpy.types.Collection, frame: float) -> int | None:
-    """The row, among the frames of a capture's second view, of the picture that its plate shows on a scene
-    frame; None where the clip has none. Raises TakeError."""
+    """Return the row, among the frames of a capture's second view, of the picture that its plate shows on a
+    scene frame; None where the clip has none. Raises TakeError."""
     captured = captured_take(collection)
     view, timing = captured.view(1), view_timing(captured, clip_timing(collection))
     rows = np.flatnonzero(view.frame_numbers == shown_number(view, timing, int(np.floor(frame + 1e-3))))
@@ -306,7 +310,7 @@ def row_of_view(collection: bpy.types.Collection, frame: float) -> int | None:
 
 
 def scene_frames(collection: bpy.types.Collection, take: Take) -> np.ndarray:
-    """(T,) scene frames of the take's rows; they may lie between whole ones."""
+    """Return the scene frames (T,) of the take's rows; they may lie between whole ones."""
     return timing_of(collection).scene_frames(take.frame_numbers)
 
 
@@ -363,7 +367,8 @@ def _armature_of(obj: bpy.types.Object) -> bpy.types.Object | None:
 
 
 def _mesh_of(armature: bpy.types.Object, take: Take, side: Side) -> bpy.types.Object | None:
-    """The hand's own mesh, which the artist may have deleted, among all that may hang on the armature."""
+    """Return the hand's own mesh, which the artist may have deleted, among all that may hang on the
+    armature."""
     marked = armature.manient.mesh
     # A copy of the armature alone still names the original's mesh, and a mesh that was deleted in the
     # viewport lives on as long as something names it.

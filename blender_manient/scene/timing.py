@@ -13,22 +13,23 @@ from handfit_core.common.errors import TakeError
 from handfit_core.take import Take
 
 LAST_FRAME = 1_048_574
-"""of Blender's timeline, in both directions"""
+"""The last frame of Blender's timeline, in both directions"""
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Scene frame = offset + scale * source frame."""
+    """Where a source's frames lie in the scene's time: scene frame = offset + scale * source frame."""
 
     offset: float = 0.0
     scale: float = 1.0
 
     def scene_frames(self, frame_numbers: np.ndarray) -> np.ndarray:
-        """(T,) source frame numbers -> (T,) scene frames, which may lie between whole ones."""
+        """Return the scene frames (T,) of source frame numbers (T,); they may lie between whole ones."""
         return self.offset + self.scale * np.asarray(frame_numbers, dtype=np.float64)
 
     def source_frames(self, frames: np.ndarray) -> np.ndarray:
-        """(N,) scene frames -> (N,) source frame numbers, whole or not: the inverse of `scene_frames`."""
+        """Return the source frame numbers (N,), whole or not, of scene frames (N,): the inverse of
+        `scene_frames`."""
         return (np.asarray(frames, dtype=np.float64) - self.offset) / (self.scale or 1.0)
 
 
@@ -48,20 +49,21 @@ def has_rate(take: Take) -> bool:
 
 
 def frame_rate(scene: bpy.types.Scene) -> float:
-    """The scene's frames per second."""
+    """Return the scene's rate in frames per second."""
     return scene.render.fps / scene.render.fps_base
 
 
 def span_of(scene: bpy.types.Scene) -> tuple[int, int]:
-    """First and last scene frame: the preview range where it is used, else the scene's own."""
+    """Return the first and last scene frame: of the preview range where it is used, else of the scene's
+    own."""
     if scene.use_preview_range:
         return scene.frame_preview_start, scene.frame_preview_end
     return scene.frame_start, scene.frame_end
 
 
 def timing_in(scene: bpy.types.Scene, take: Take, frame: float | None = None) -> Timing:
-    """The take in the scene's own time: its first frame at `frame` (None: the current one), as fast as it
-    was filmed.
+    """Return where the take lies in the scene's own time: its first frame at `frame` (None: the current one),
+    as fast as it was filmed.
 
     Photos and image sequences have no rate of their own: each of their pictures is a scene frame.
     """
@@ -72,8 +74,9 @@ def timing_in(scene: bpy.types.Scene, take: Take, frame: float | None = None) ->
 
 
 def in_scene(scene: bpy.types.Scene, take: Take, frame: float | None = None) -> tuple[Take, Timing, Timing]:
-    """The take in the scene's own time, as `timing_in` says, with a row on each of the scene's whole frames
-    where the clip has another rate. Returns it, where its rows lie, and where the clip's own frames lie.
+    """Return the take in the scene's own time, as `timing_in` says, with a row on each of the scene's whole
+    frames where the clip has another rate. Returns it, where its rows lie, and where the clip's own frames
+    lie.
 
     Raises OptionError for rates that no clip is retimed to.
     """
@@ -91,8 +94,8 @@ def in_scene(scene: bpy.types.Scene, take: Take, frame: float | None = None) -> 
 
 
 def view_timing(take: Take, clip: Timing) -> Timing:
-    """Where the frames of a take's second view lie in the time of a scene in which its own lie as `clip`
-    says."""
+    """Return where the frames of a take's second view lie in the time of a scene in which the first view's
+    lie as `clip` says."""
     assert take.cameras is not None
     view = take.cameras.views[0]
     rate = clip.scale * take.fps
@@ -102,12 +105,13 @@ def view_timing(take: Take, clip: Timing) -> Timing:
 
 
 def is_retimed(scene: bpy.types.Scene, fps: float) -> bool:
-    """True if a clip of that rate is retimed in a scene that keeps its own."""
+    """True if a clip of `fps` frames per second is retimed in a scene that keeps its own rate."""
     return is_other_rate(frame_rate(scene), fps)
 
 
 def nearest_rate(fps: float) -> tuple[int, float]:
-    """A rate in frames per second as scenes keep it: Blender keeps 29.97 as 30 / 1.001."""
+    """Return a rate in frames per second as scenes keep it, a whole rate and its divisor: 30 and 1.001 for
+    29.97."""
     nearest = max(1, round(fps))
     return nearest, float(np.float32(1 / Fraction(fps / nearest).limit_denominator(1001)))
 

@@ -48,8 +48,8 @@ def _option(
     items: Mapping[str, tuple[str, str]] | None = None,
     **bounds: Any,
 ) -> Any:
-    """A field: `label` and further arguments for Blender's property, which `notifies` when it changes, and
-    for a choice its `items` as identifier -> label and help."""
+    """Return a field of the options with its `label` and further arguments for Blender's property, which
+    `notifies` when it changes, and for a choice its `items` as identifier -> label and help."""
 
     about = {"label": label, "help": help, "notifies": notifies, "items": items, "bounds": bounds}
     return field(default=default, metadata=about)
@@ -161,11 +161,11 @@ class TransferOptions:
     offsets: Mapping[Side, np.ndarray] = field(default_factory=dict)
     """(3,) what is added to where a placed hand is, in the armature's space and units; none where missing"""
     anchors: Mapping[Side, Anchor] = field(default_factory=dict)
-    """What stands for the marked frame, by the character's side; such hands get no offset"""
+    """The anchor that stands for the marked frame, by the character's side; such hands get no offset"""
 
     @classmethod
     def of(cls, armature: bpy.types.Object, **changes: Any) -> TransferOptions:
-        """The options of the character's panel, with these fields in place of its own."""
+        """Return the options of the character's panel, with these fields in place of its own."""
         shown = {name: getattr(armature.manient.character, name) for name in OPTIONS}
         return cls(**{**shown, "offsets": offsets_of(armature), **changes})
 
@@ -200,8 +200,8 @@ def add_argument(
 
 
 def offsets_of(armature: bpy.types.Object) -> dict[Side, np.ndarray]:
-    """(3,) how far the artist has dragged each hand's offset, in the armature's space and units; nothing for
-    hands without one."""
+    """Return (3,), by side, how far the artist has dragged each hand's offset, in the armature's space and
+    units; nothing for hands without one."""
     found: dict[Side, np.ndarray] = {}
     for side in SIDES:
         handle = getattr(armature.manient.character, side).offset

@@ -21,13 +21,13 @@ from handfit_core.media.copies import copies_folder
 from ..common import preferences
 
 _NEEDED = 20_000_000
-"""bytes that must be free for a take"""
+"""Bytes that must be free on the disk for a take"""
 _TAKES = "takes-"
-"""Beginning of the folders with the takes of one Blender each"""
+"""The beginning of the names of the folders with the takes of one Blender each"""
 _ABANDONED = 24 * 3600.0
-"""seconds without a change after which such a folder belongs to a Blender that has crashed"""
+"""Seconds without a change after which a folder of takes belongs to a Blender that has crashed"""
 _STALE = 10.0
-"""seconds for which a measured size is shown without measuring again"""
+"""Seconds for which a measured size is shown without measuring again"""
 
 _takes_folder: Path | None = None
 _numbers = itertools.count(1)
@@ -35,11 +35,10 @@ _measured, _measured_at = 0, -_STALE
 
 
 def folder_path() -> Path:
-    """Where the folder lies, whether or not it exists.
+    """Return the path of the cache folder, whether or not it exists.
 
-    A folder of our own in the one that the preferences name; else in the user's folder of the extension;
-    else, where the add-on is no extension, in handfit_core's cache folder.
-    """
+    It is a folder of our own in the one that the preferences name; else in the user's folder of the
+    extension; else, where the add-on is no extension, in handfit_core's cache folder."""
     chosen = preferences.full_path(preferences.get().cache_folder)
     if chosen:
         return Path(chosen) / "manient"  # never the chosen folder itself: it may hold anything
@@ -49,7 +48,7 @@ def folder_path() -> Path:
 
 
 def cache_folder() -> Path:
-    """The folder, made if need be. Raises OutputError."""
+    """Return the cache folder, made if need be. Raises OutputError."""
     path = folder_path()
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -59,10 +58,9 @@ def cache_folder() -> Path:
 
 
 def temporary_take(name: str = "hands", needed: int = _NEEDED) -> Path:
-    """A path for the take of one capture, in a folder that goes when Blender ends.
+    """Return a path for the take of one capture, in a folder that goes when Blender ends.
 
-    `needed`: bytes that must be free there. Raises OutputError when the disk is full or cannot be written.
-    """
+    `needed`: bytes that must be free there. Raises OutputError when the disk is full or cannot be written."""
     global _takes_folder
     folder = cache_folder()
     try:
@@ -82,7 +80,7 @@ def temporary_take(name: str = "hands", needed: int = _NEEDED) -> Path:
 
 
 def remove_temporary_takes() -> None:
-    """Remove this Blender's takes."""
+    """Remove the temporary takes of this Blender."""
     global _takes_folder
     if _takes_folder is not None:
         shutil.rmtree(_takes_folder, ignore_errors=True)
@@ -90,7 +88,8 @@ def remove_temporary_takes() -> None:
 
 
 def clear() -> tuple[int, int]:
-    """Remove everything but pictures that the open file shows; returns (bytes freed, files left)."""
+    """Remove everything from the cache folder but pictures that the open file shows; return (bytes freed,
+    files left)."""
     global _measured_at
     shown = (*bpy.data.images, *bpy.data.movieclips)
     kept = {Path(bpy.path.abspath(each.filepath)) for each in shown if each.filepath}
@@ -114,7 +113,8 @@ def clear() -> tuple[int, int]:
 
 
 def shown_size() -> int:
-    """The size of all files in bytes, measured anew every few seconds; for drawing: they are few."""
+    """Return the size of all files of the cache in bytes, measured anew every few seconds; for drawing: they
+    are few."""
     global _measured, _measured_at
     if time.monotonic() - _measured_at > _STALE:
         _measured, _measured_at = 0, time.monotonic()
@@ -148,7 +148,7 @@ def _unusable(path: Path, error: OSError) -> OutputError:
 
 
 def unregister() -> None:
-    """Remove this Blender's takes, and the folder if nothing else is in it."""
+    """Remove this Blender's takes, and the cache folder if nothing else is in it."""
     remove_temporary_takes()
     with contextlib.suppress(OSError):
         folder_path().rmdir()

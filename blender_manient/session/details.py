@@ -20,7 +20,7 @@ def write_details(title: str, sentence: str, why: Exception | str) -> bpy.types.
 
 
 def write_text(name: str, content: str) -> bpy.types.Text:
-    """The text block of this name with this content; made if the file has none of its own."""
+    """Return the text block of this name with this content; it is made if the file has none of its own."""
     text = local_text(name) or bpy.data.texts.new(name)
     text.clear()
     text.write(content)
@@ -29,5 +29,5 @@ def write_text(name: str, content: str) -> bpy.types.Text:
 
 
 def local_text(name: str) -> bpy.types.Text | None:
-    """The file's own text block of this name; a linked one of the same name does not count."""
+    """Return the file's own text block of this name, or None; a linked one of that name does not count."""
     return next((t for t in bpy.data.texts if t.name == name and t.library is None), None)

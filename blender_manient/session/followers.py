@@ -14,7 +14,7 @@ from handfit_core.common.slices import slice_clock
 from ..common.block_reference import BlockReference
 
 _TICK = 1 / 60
-"""seconds between two looks while something is to be done"""
+"""Seconds between two looks while something is to be done"""
 
 
 class Follower:
@@ -23,11 +23,12 @@ class Follower:
     def __init__(self, armature: bpy.types.Object) -> None:
         self.armature = BlockReference.of("objects", armature)
         self.changed: float | None = time.monotonic()
-        """When a change was last seen that is not followed yet"""
+        """The moment of `time.monotonic` at which a change was last seen that is not followed yet; None where
+        all are followed"""
         self.steps: Iterator[float] | None = None
 
     def has_rested(self, seconds: float) -> bool:
-        """True if the last change that is not followed yet was so long ago."""
+        """True if the last change that is not followed yet was at least so many seconds ago."""
         return self.changed is not None and time.monotonic() - self.changed >= seconds
 
 
@@ -40,9 +41,9 @@ class Followers(dict[int, Any]):
         fail: Callable[[bpy.types.Object, HandfitError | ReferenceError], None],
         is_following: Callable[[bpy.types.Object], bool] = lambda _armature: True,
     ) -> None:
-        """`go_on` does something for an armature until the given clock says that the slice is over, and is
-        called again while the follower has a change. `fail` is told of what it raises. `is_following`:
-        whether an armature is one of them still."""
+        """Follow nobody yet. `go_on` does something for an armature until the given clock says that the slice
+        is over, and is called again while the follower has a change. `fail` is told of what it raises.
+        `is_following`: whether an armature is one of them still."""
         super().__init__()
         self._go_on, self._fail, self._is_following = go_on, fail, is_following
         self.step = self._step
@@ -69,6 +70,6 @@ class Followers(dict[int, Any]):
         return _TICK if any(follower.changed is not None for follower in self.values()) else None
 
     def wake(self) -> None:
-        """Begin to go on, where something is to be done."""
+        """Start the timer where something is to be done."""
         if not bpy.app.timers.is_registered(self.step):
             bpy.app.timers.register(self.step, first_interval=0.0, persistent=True)

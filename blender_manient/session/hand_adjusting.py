@@ -21,16 +21,17 @@ from . import live_link
 from .followers import Follower, Followers
 
 _QUIET_SECONDS = 0.1
-"""seconds without a change after which keys are written"""
+"""Seconds without a change after which keys are written"""
 
 _offsets: dict[int, tuple[BlockReference, dict]] = {}
-"""Characters with an offset in the scene, by their session_uid, and where it was seen last"""
+"""Characters with an offset in the scene, by their session_uid, each with where the offset was seen last"""
 _messages: dict[int, tuple[str, bool]] = {}
 """The message about the last change, and whether it is an error, by the armatures' session_uid"""
 
 
 def message(armature: bpy.types.Object) -> tuple[str, bool] | None:
-    """The message about a character's last change, and whether it is an error; None for none."""
+    """Return the message about a character's last change, and whether it is an error; None where there is
+    none."""
     return _messages.get(armature.session_uid)
 
 
@@ -63,7 +64,7 @@ step = _changes.step
 
 
 def on_settings_changed(group: bpy.types.PropertyGroup) -> None:
-    """A setting of how a character's hand moves has changed."""
+    """Have keys be written anew after a setting of how a character's hand moves has changed."""
     armature = group.id_data
     _remember_offsets(armature)
     if armature.manient.character.live:
@@ -92,7 +93,7 @@ def _places(armature: bpy.types.Object) -> dict:
 
 
 def _on_update(*_args) -> None:
-    """Something in the scene has changed: perhaps an offset was dragged, or deleted."""
+    """Follow a change of something in the scene: perhaps an offset was dragged, or deleted."""
     for uid, (reference, places) in list(_offsets.items()):
         armature = reference.find()
         if armature is None:
@@ -102,7 +103,7 @@ def _on_update(*_args) -> None:
 
 
 def _on_file(*_args) -> None:
-    """Another file is open."""
+    """Begin anew with another open file."""
     _changes.clear()
     _offsets.clear()
     _messages.clear()
@@ -112,7 +113,8 @@ def _on_file(*_args) -> None:
 
 
 def _on_time_travel(*_args) -> None:
-    """An undo or a redo: the keys need not be those of the settings that are back."""
+    """Have keys be written anew after an undo or a redo: they need not be those of the settings that are
+    back."""
     _on_file()
     for armature in bpy.data.objects:
         if armature.type == "ARMATURE" and not armature.manient.character.live:
@@ -130,7 +132,7 @@ TIMERS = (step,)
 
 
 def unregister() -> None:
-    """Follow nobody any more."""
+    """Stop following changes."""
     _changes.clear()
     _offsets.clear()
     _messages.clear()

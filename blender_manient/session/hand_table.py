@@ -23,11 +23,12 @@ BONES: dict[str, tuple[str, int]] = {
     **{f"{f}_{i + 1}": ("bones", joint) for f in FINGERS for i, joint in enumerate(FINGER_JOINTS[f])},
     **{f"{finger}_palm": ("palm", i) for i, finger in enumerate(PALM_FINGERS)},
 }
-"""A property's name -> the HandMap's field that holds the bone's name, and where in it"""
+"""By a property's name, the HandMap's field that holds the bone's name, and the index of the bone in it"""
 
 
 def _of(get: Callable[[HandMap], Any], changes: Callable[[HandMap, Any], dict[str, Any]]) -> dict[str, Any]:
-    """A property's functions: what a table says, and which of its fields another value changes."""
+    """Return a property's functions: `get` tells its value by a table, and `changes` which fields of the
+    table another value changes."""
 
     def read(table: Any) -> Any:
         armature = active_character(bpy.context)
@@ -43,7 +44,7 @@ def _of(get: Callable[[HandMap], Any], changes: Callable[[HandMap, Any], dict[st
 
 
 def _bone(name: str) -> Any:
-    """The property of one bone's name."""
+    """Return the property of one bone's name."""
     field, index = BONES[name]
 
     def changes(shown: HandMap, value: str) -> dict[str, Any]:

@@ -45,12 +45,12 @@ State = Literal["waiting", "capturing", "building", "done", "failed", "cancelled
 _CAPTURING = 0.9
 """The share of a job's time that the worker takes; the rest is building"""
 _MAX_FINISHED = 6
-"""finished jobs that the panel still shows"""
+"""How many finished jobs the panel still shows"""
 
 
 @dataclass(frozen=True)
 class Building:
-    """How a job's take is built into a scene."""
+    """How the take of a job is built into a scene."""
 
     scene: BlockReference
     target: Literal["NEW", "ANIMATION", "POSE"] = "NEW"
@@ -63,11 +63,12 @@ class Building:
     render_setup: bool = True
     matching: Choice = "AUTO"
     retimed: float | None = None
-    """Frames per second of the scene that a clip of another rate will be retimed to"""
+    """The frames per second of the scene that a clip of another rate will be retimed to; None where it is not
+    retimed"""
     camera: BlockReference | None = None
     """An existing camera to look through instead of a new one"""
     clip: CameraClip | None = None
-    """That camera's own, if it is what is captured"""
+    """The clip of that camera, if it is what is captured; None otherwise"""
 
 
 @dataclass(frozen=True)
@@ -87,10 +88,12 @@ class CaptureRequest:
     output: Path | None = None
     """Where the take is kept; None: in a folder that goes when Blender ends"""
     then: Callable[[BuiltTake], Generator[float, None, None]] | None = None
-    """Goes on with new hands, in slices, before they become an undo step"""
+    """A function that goes on with new hands, in slices, before they become an undo step; None for nothing
+    more"""
 
     def shares(self) -> dict[tuple[str, int], float]:
-        """The share of the job's time that each stage takes, in their order, by its name and the view."""
+        """Return the share of the job's time that each stage takes, in their order, by its name and the
+        view."""
         # Detection takes nearly all of a capture's time, except with slow solvers.
         solver = SOLVERS.built_in().get(self.options.solver)
         detect = 0.1 if solver is not None and solver.slow else 0.85
@@ -111,7 +114,7 @@ class CaptureResult:
     message: str = ""
     """One sentence about what was built, or about what went wrong"""
     hands: tuple[str, ...] = ()
-    """Names of the armatures"""
+    """The names of the new hands' armatures"""
     warnings: tuple[str, ...] = ()
     offer: str = ""
     """The operator, `find_hands` or `add_hand`, that helps with the first warning"""
@@ -127,14 +130,14 @@ class CaptureResult:
     hands_to_choose: int = 0
     """the number of hands found, where there were too many to build without asking; else 0"""
     collection: BlockReference | None = None
-    """The collection of the new hands"""
+    """The collection of the new hands; None where none were built"""
 
     def report(self) -> str:
-        """The result in sentences, without its warnings."""
+        """Return the result in sentences, without its warnings."""
         return _sentences(self.message, self.views_message, self.scene_message)
 
     def summary(self) -> str:
-        """The result in sentences: its message, warnings, and what became of the scene."""
+        """Return the result in sentences: its message, warnings, and what became of the scene."""
         return _sentences(self.message, *self.warnings, self.views_message, self.scene_message)
 
 
@@ -153,11 +156,11 @@ class Job:
     stopping: bool = False
     """True if it was asked to stop and to keep what is finished"""
     key: str = field(default_factory=lambda: uuid.uuid4().hex[:8])
-    """the key under which scenes note the job, so that an undo is seen"""
+    """The key under which scenes note the job, so that an undo is seen"""
     steps: Generator[_Step, None, None] | None = None
-    """The work, once it has begun"""
+    """The steps of the job's work, once it has begun; None before"""
     replaces: tuple[Job, ...] = ()
-    """Failures that were shown when it was asked for; once it succeeds they are old"""
+    """The failed jobs that were shown when this one was asked for; once it succeeds they are old"""
 
     @property
     def running(self) -> bool:
@@ -171,7 +174,7 @@ class Job:
 
     @property
     def stop_button(self) -> tuple[str, bool]:
-        """The text of the button that stops the job, and whether it can be pressed: once, and not when
+        """Return the text of the button that stops the job, and whether it can be pressed: once, and not when
         finished frames would be lost by it."""
         if self.state == "building":
             return "Building Hands", False
@@ -190,7 +193,7 @@ class Job:
 
     @property
     def fraction(self) -> float:
-        """How much of the whole job is done, 0..1."""
+        """Return how much of the whole job is done, 0..1."""
         if self.state == "building":
             return _CAPTURING + (1.0 - _CAPTURING) * self.progress.part
         at, done = (self.progress.stage, self.progress.view), 0.0
@@ -202,7 +205,7 @@ class Job:
         return float(self.finished)
 
     def activity(self) -> str:
-        """The present step in words, short enough for a progress bar; of a finished job its result."""
+        """Return the present step in words, short enough for a progress bar; of a finished job its result."""
         if self.finished:
             return self.result.message
         if self.state == "waiting":
@@ -212,14 +215,15 @@ class Job:
         return self.progress.stage_text(1 if self.request.options.view is None else 2)
 
     def speed_text(self) -> str:
-        """Frames per second and the time that is left; empty while they are unknown."""
+        """Return the speed in frames per second and the time that is left, in words; empty while they are
+        unknown."""
         rate, left = self.progress.rate, self.progress.total - self.progress.done
         if self.state != "capturing" or self.stopping or self.progress.total <= 1 or not rate:
             return ""
         return f"{rate:.0f} fps  {_duration(left / rate)} left"
 
     def status(self) -> str:
-        """`activity` and `speed_text` in one line."""
+        """Return `activity` and `speed_text` in one line."""
         return "  ".join(filter(None, (self.activity(), self.speed_text())))
 
 
@@ -227,22 +231,22 @@ _queue: list[Job] = []
 
 
 def jobs() -> tuple[Job, ...]:
-    """All jobs, the oldest first; finished ones are forgotten after a while."""
+    """Return all jobs, the oldest first; finished ones are forgotten after a while."""
     return tuple(_queue)
 
 
 def busy() -> bool:
-    """True if something is captured, built, or waits for it."""
+    """True if something is captured or built, or waits for that."""
     return any(not job.finished for job in _queue)
 
 
 def current() -> Job | None:
-    """The job that runs."""
+    """Return the job that runs; None where none does."""
     return next((job for job in _queue if job.running), None)
 
 
 def current_or_next() -> Job | None:
-    """The job that runs, or is the next to."""
+    """Return the job that runs, or is the next to; None where none waits."""
     return next((job for job in _queue if not job.finished), None)
 
 
@@ -257,7 +261,7 @@ def submit(request: CaptureRequest) -> Job:
 
 
 def forget_finished() -> None:
-    """Drop what is over from the list."""
+    """Drop the jobs that are over from the list."""
     _queue[:] = [job for job in _queue if not job.finished]
 
 
@@ -277,13 +281,13 @@ def cancel(job: Job) -> None:
 
 
 def cancel_all() -> None:
-    """Stop everything."""
+    """Stop all jobs."""
     for job in list(_queue):
         cancel(job)
 
 
 def abandon() -> None:
-    """Stop everything without keeping anything: another file is opened, or the add-on goes."""
+    """Stop all jobs without keeping anything: another file is opened, or the add-on goes."""
     if current() is not None:
         shared_worker.stop()
     for job in _queue:
@@ -352,8 +356,8 @@ def _finish(job: Job, result: CaptureResult) -> None:
 
 
 def _steps(job: Job) -> Generator[_Step, None, None]:
-    """A capture from the request to the worker until the hands are in the scene. Yields how much of them is
-    built, 0..1, or what is waited for."""
+    """Do a capture from the request to the worker until the hands are in the scene. Yields how much of them
+    is built, 0..1, or what is waited for."""
     request = job.request
     path = request.output or temporary_take(request.name)
     answer = yield from _capturing(request, path)
@@ -378,7 +382,7 @@ def _steps(job: Job) -> Generator[_Step, None, None]:
 
 
 def _capturing(request: CaptureRequest, path: Path) -> shared_worker.Asking:
-    """Have the worker write the take; returns its answer."""
+    """Have the worker write the take to `path`; returns its answer."""
     return shared_worker.ask(
         "capture",
         "Starting",
@@ -487,7 +491,7 @@ def _captured(scene: bpy.types.Scene) -> list[str]:
 
 
 def _note(job: Job) -> None:
-    """Have the open scene say that this capture is in it, so that undo and redo change that as well."""
+    """Note in the open scene that this capture is in it, so that undo and redo change that as well."""
     scene = bpy.context.scene
     listed = {other.key for other in _queue}
     scene.manient.captured = " ".join([*(key for key in _captured(scene) if key in listed), job.key])
@@ -529,5 +533,5 @@ HANDLERS = {"load_pre": lambda *_args: abandon()}
 
 
 def unregister() -> None:
-    """Stop everything."""
+    """Stop all jobs."""
     abandon()

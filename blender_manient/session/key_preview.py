@@ -32,14 +32,15 @@ _found: list[Thinned] | str | None = None
 
 
 def bounds_of(scene: bpy.types.Scene) -> Bounds:
-    """The bounds that the panel's sliders say."""
+    """Return the bounds of the simplification that the panel's sliders say."""
     settings = scene.manient
     parts = frozenset(part.lower() for part in settings.keys_parts)
     return Bounds(settings.keys_degrees, settings.keys_pixels, settings.keys_together, parts)
 
 
 def preview(context: bpy.types.Context) -> list[Thinned] | str | None:
-    """What Simplify would do: for each hand, or a sentence why it cannot; None where that is being found."""
+    """Return what Simplify would do, a `Thinned` for each hand, or a sentence why it cannot; None while a
+    timer still computes it."""
     global _key, _steps, _found
     hands = hands_to_simplify(context)
     key = _key_of(context.scene, hands)
@@ -51,8 +52,8 @@ def preview(context: bpy.types.Context) -> list[Thinned] | str | None:
 
 
 def found_now(context: bpy.types.Context) -> list[Thinned]:
-    """What Simplify does: what the preview has found already, where it was found for the keys as they are
-    now, else it is found here. Raises what `thinning` raises."""
+    """Return what Simplify does, a `Thinned` for each hand: the preview's where it was computed for the keys
+    as they are now, else computed here. Raises what `thinning` raises."""
     hands = hands_to_simplify(context)
     if _key == _key_of(context.scene, hands) and isinstance(_found, list):
         now = [state_of(hand) for hand in hands]
@@ -92,8 +93,10 @@ def _key_of(scene: bpy.types.Scene, hands: list[Hand]) -> tuple[Any, ...]:
 
 
 def _continue() -> float | None:
-    """Blender's timer: a slice. A timer knows no window, and so not which hand the panel shows: it goes on
-    with the hands of the last redraw, unless something was changed since."""
+    """Compute a slice of the preview; Blender's timer calls this.
+
+    A timer knows no window, and so not which hand the panel shows: it goes on with the hands of the last
+    redraw, unless something was changed since."""
     global _key, _steps, _found
     if _steps is None or _key is None or _key[0] != _changes:
         _key = _steps = None
@@ -135,6 +138,6 @@ TIMERS = (_continue,)
 
 
 def unregister() -> None:
-    """Forget what was found."""
+    """Forget the preview that was computed."""
     global _key, _steps, _found
     _key = _steps = _found = None

@@ -45,22 +45,22 @@ from . import shared_worker
 from .live_takes import LiveTake, live_transfer, new_take, takes
 
 PICTURE_WIDTH = 320
-"""pixels of the small picture"""
+"""The width in pixels of the small picture"""
 _ENDING_SECONDS = 3.0
-"""seconds that the worker gets to end by itself, a recording's last frames included"""
+"""Seconds that the worker gets to end by itself, a recording's last frames included"""
 _SAID_SECONDS = 6.0
-"""seconds for which a sentence is shown while poses come"""
+"""Seconds for which a sentence is shown while poses come"""
 _REFUSED_SECONDS = 2.0
-"""seconds after which a frame that came is recorded, unless the worker cannot"""
+"""Seconds after which a frame that came is recorded, unless the worker cannot"""
 _MEASURED = 60
-"""events over which the latency is measured: two seconds"""
+"""How many events the latency is measured over: two seconds of them"""
 
 
 class LiveSession:
     """Hands that follow a source, from Start to Stop."""
 
     def __init__(self, scene: bpy.types.Scene, options: CaptureOptions, followed: Followed) -> None:
-        """Raises HandfitError. The source is opened in the worker."""
+        """Start a worker, which opens the source. Raises HandfitError."""
         self.scene, self.options, self.followed = BlockReference.of("scenes", scene), options, followed
         wanted = scene.manient.live
         for side in followed:
@@ -82,7 +82,7 @@ class LiveSession:
         self._hands: dict[Side, LiveHand] = {}
         self._newest: dict[Side, HandMotion] = {}
         self.hand_states: dict[Side, str] = {}
-        """`seen`, `held` or `resting`, by the person's side"""
+        """`seen`, `held` or `resting`, by the side of the person's hand"""
         self._sequence = 0
         self._latencies: list[float] = []
         self._ending_until: float | None = None
@@ -108,7 +108,7 @@ class LiveSession:
 
     @property
     def _settings(self) -> Any:
-        """The panel's settings that can be changed while it runs."""
+        """Return the panel's settings that can be changed while the session runs."""
         return (self.scene.find() or bpy.context.scene).manient.live
 
     @property
@@ -119,16 +119,17 @@ class LiveSession:
 
     @property
     def is_recording(self) -> bool:
-        """True if it records, or counts down to that."""
+        """True if the session records, or counts down to that."""
         return self._recording is not None or self._record_at is not None
 
     @property
     def latency(self) -> float:
-        """Median ms from a frame's coming to its pose in the scene; 0 while unknown."""
+        """Return the median time in milliseconds from a frame's coming to its pose in the scene; 0 while
+        unknown."""
         return float(np.median(self._latencies)) if self._latencies else 0.0
 
     def status(self) -> str:
-        """The present step in words, and its speed."""
+        """Return the present step in words, and its speed."""
         if self._record_at is not None:
             return f"Recording in {max(1, int(np.ceil(self._record_at - time.monotonic())))}"
         if self._recording is not None:
@@ -182,7 +183,7 @@ class LiveSession:
                 run_to_completion(applying(armature, [(hand_map_of(armature, target[1]), moved)], how))
 
     def stop(self, why: str = "") -> None:
-        """End it: the scene is as before at once, the worker ends within the next steps."""
+        """End the session: the scene is as before at once, the worker ends within the next steps."""
         if self._follows:
             self._record_at = None
             if self._recording is not None:
@@ -193,7 +194,7 @@ class LiveSession:
             self.worker.cancel(self._progress.request)
 
     def abandon(self) -> None:
-        """End it and its process now."""
+        """End the session and its process now."""
         self._closed, self._previewing = True, None
         self.hide()
         self.worker.stop()
@@ -201,7 +202,7 @@ class LiveSession:
     # Every few milliseconds
 
     def step(self) -> bool:
-        """Take in what the worker says, and show the newest pose. Returns whether anything changed."""
+        """Take in what the worker says, and show the newest pose. Return whether anything changed."""
         if self._closed:
             return self._preview()
         if self._watch.changed:
@@ -221,7 +222,7 @@ class LiveSession:
         return self._preview() or bool(self._progress.news) or self._closed
 
     def _listen(self) -> Event | None:
-        """Take in what the worker says; returns the newest pose."""
+        """Take in what the worker says; return the event with the newest pose, or None."""
         newest, before = None, self._progress
         try:
             self._progress = next(self._asking)
@@ -265,7 +266,7 @@ class LiveSession:
             take.set_aside(False)
 
     def _preview(self) -> bool:
-        """One slice of the last recording's preview. Returns whether there was anything to do."""
+        """Do one slice of the last recording's preview. Return whether there was anything to do."""
         if self._previewing is None:
             return False
         is_over = slice_clock()
@@ -361,7 +362,7 @@ class LiveSession:
             self.hide()  # the next pose makes hands of the shape
 
     def _close(self) -> None:
-        """The worker has ended, or has to."""
+        """Close the session whose worker has ended, or has to."""
         self._closed = True
         self.hide()
         self.worker.stop()
@@ -384,18 +385,18 @@ def start(scene: bpy.types.Scene, options: CaptureOptions, followed: Followed) -
 
 
 def running() -> LiveSession | None:
-    """The session that is neither over nor ending."""
+    """Return the session that is neither over nor ending; None where there is none."""
     return current if current is not None and not current.over else None
 
 
 class _Pictures:
-    """The small picture, as an icon."""
+    """The small picture of the live source, as an icon."""
 
     def __init__(self) -> None:
         self._all: Any = None
 
     def show(self, rgb: np.ndarray) -> None:
-        """Show (H, W, 3) uint8."""
+        """Show a picture (H, W, 3), uint8 RGB."""
         if self._all is None:
             self._all = bpy.utils.previews.new()
             self._all.new("live")
@@ -410,11 +411,11 @@ class _Pictures:
 
     @property
     def icon(self) -> int:
-        """Its number; 0 where none has come."""
+        """Return the icon's number; 0 where no picture has come."""
         return 0 if self._all is None else self._all["live"].icon_id
 
     def forget(self) -> None:
-        """Let go of it."""
+        """Forget the picture."""
         if self._all is not None:
             bpy.utils.previews.remove(self._all)
             self._all = None
@@ -424,7 +425,7 @@ pictures = _Pictures()
 
 
 def _frame_at(moment: float) -> float:
-    """The scene frame that was shown at a moment of `time.perf_counter` that is hardly over."""
+    """Return the scene frame that was shown at a moment of `time.perf_counter`, not long ago."""
     scene, windows = bpy.context.scene, bpy.context.window_manager.windows
     plays = any(window.screen.is_animation_playing for window in windows)
     late = (time.perf_counter() - moment) * frame_rate(scene) if plays else 0.0
@@ -432,7 +433,7 @@ def _frame_at(moment: float) -> float:
 
 
 def _motion(told: dict[str, Any]) -> HandMotion:
-    """A hand of an event, as a motion of one frame."""
+    """Return a hand of an event as a motion of one frame."""
     betas, *pose = (unpack(told[name]) for name in ("betas", "global_orient", "hand_pose", "transl"))
     return HandMotion(told["side"], betas, *(rows[None] for rows in pose))
 
@@ -444,7 +445,8 @@ def _on_other_file(*_args) -> None:
 
 
 def _on_time_travel(*_args) -> None:
-    """Another file or an undo may hold hands that followed when it was made."""
+    """Have leftovers removed after another file or an undo, which may hold hands that followed when it was
+    made."""
     if not bpy.app.timers.is_registered(_sweep):
         bpy.app.timers.register(_sweep, first_interval=0.0)
 

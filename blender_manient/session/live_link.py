@@ -41,13 +41,13 @@ from .followers import Follower, Followers
 _T = TypeVar("_T")
 
 _QUIET_SECONDS = 0.2
-"""seconds without a change after which keys are written"""
+"""Seconds without a change after which keys are written"""
 _PROGRESS_REDRAWS = 10
-"""redraws of the panel while one set of keys is written"""
+"""How often the panel is redrawn while one set of keys is written"""
 _COMPUTE_SHARE = 0.8
-"""share of the progress that computing the keys takes; writing them takes the rest"""
+"""The share of the progress that computing the keys takes; writing them takes the rest"""
 _SAME = 1e-6
-"""Parts of quaternions, and locations, that differ by less are the same key"""
+"""Parts of quaternions, and of locations, that differ by less count as equal"""
 
 
 class _Link(Follower):
@@ -67,16 +67,16 @@ class _Link(Follower):
 _settling = False
 """True if a property is being set by this module itself"""
 _troubles: dict[int, str] = {}
-"""the reason, a sentence, why a character follows no more, by its armature's session_uid"""
+"""By the session_uid of a character's armature, the reason, a sentence, why it follows no more"""
 
 
 def trouble(armature: bpy.types.Object) -> str | None:
-    """Why a linked character does not follow, or not with keys; None where it does."""
+    """Return why a linked character does not follow, or not with keys, a sentence; None where it does."""
     return _troubles.get(armature.session_uid)
 
 
 def keying_progress(armature: bpy.types.Object) -> float | None:
-    """Progress of writing a linked character's keys, 0..1; None while none are written."""
+    """Return the progress of writing a linked character's keys, 0..1; None while none are written."""
     link = _links.get(armature.session_uid)
     return None if link is None or link.steps is None else link.done
 
@@ -166,7 +166,7 @@ def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, N
 
 
 def _written(armature: bpy.types.Object, one: BoneKeys) -> Generator[float, None, None]:
-    """Write and note keys; a hand itself has one bone, so that a stop cannot come between the two."""
+    """Write keys and note them; a hand itself has one bone, so that a stop cannot come between the two."""
     for done in writing([one]):
         record_all_written_keys(armature, [one])
         yield done
@@ -186,8 +186,8 @@ def _scaled_progress(
 
 
 def _changed(old: BoneKeys, new: BoneKeys) -> BoneKeys:
-    """The new keys that differ from the old ones. Where keys are gone, removes all keys of their range and
-    returns all new keys there."""
+    """Return those new keys that differ from the old ones. Where keys are gone, all keys of their range are
+    removed and all new keys there returned."""
     _, stays = nearest(new.keys.frames, old.keys.frames)
     gone = old.keys.frames[~stays]
     at, same = nearest(old.keys.frames, new.keys.frames)
@@ -207,7 +207,7 @@ def _changed(old: BoneKeys, new: BoneKeys) -> BoneKeys:
 
 
 def _digest(keys: Sequence[BoneKeys]) -> str:
-    """Changes with what is to be keyed, beyond rounding."""
+    """Return a digest that changes with the keys that are to be written, beyond rounding."""
     sha = hashlib.sha256()
     for one in keys:
         sha.update("/".join(one.rig.bones).encode())
@@ -217,7 +217,7 @@ def _digest(keys: Sequence[BoneKeys]) -> str:
 
 
 def _on_update(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    """Something in the scene has changed; changes of the frame alone do not come here."""
+    """Follow a change of something in the scene; changes of the frame alone do not come here."""
     if not _links:
         return
     moved = (u for u in depsgraph.updates if u.is_updated_geometry or u.is_updated_transform)
@@ -234,7 +234,7 @@ def _on_update(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 
 
 def on_settings_changed(group: bpy.types.PropertyGroup) -> None:
-    """A character's settings have changed: whether it follows, whom, or how."""
+    """Follow a change of a character's settings: whether it follows, whom, or how."""
     global _settling
     armature = group.id_data
     character, uid = armature.manient.character, armature.session_uid
@@ -262,7 +262,7 @@ def on_settings_changed(group: bpy.types.PropertyGroup) -> None:
 
 
 def _on_time_travel(*_args) -> None:
-    """Another file, an undo or a redo: nobody knows what is keyed now."""
+    """Forget what is keyed: after another file, an undo or a redo nobody knows it."""
     _links.clear()
     for armature in bpy.data.objects:
         if armature.type == "ARMATURE" and armature.manient.character.live:
@@ -279,6 +279,6 @@ TIMERS = (step,)
 
 
 def unregister() -> None:
-    """Follow nobody any more."""
+    """Stop all characters from following."""
     _links.clear()
     _troubles.clear()

@@ -54,43 +54,43 @@ _Moved = dict[BlockReference, list[tuple[Side, Motion]]]
 
 @dataclass(eq=False)
 class LiveTake:
-    """A recording, and what came of it."""
+    """A live recording, and the hands that were made from it."""
 
     number: int
     path: Path
-    """The recorded frames"""
+    """The path of the recorded frames"""
     scene: BlockReference
     frame: float
     """The scene frame on which it begins"""
     options: CaptureOptions
     followed: Followed
     anchors: dict[Target, Anchor] = field(default_factory=dict)
-    """Where turned hands of characters begin, by character and side"""
+    """Where turned hands of characters begin to follow, by character and side"""
     seconds: float = 0.0
     poses: list[tuple[float, dict[Side, HandMotion]]] = field(default_factory=list)
-    """Seconds, and the hands that were shown then"""
+    """Seconds since the beginning, each with the hands that were shown then"""
     job: jobs.Job | None = None
     trouble: str = ""
-    """Why there is no preview, a sentence"""
+    """Why there is no preview, a sentence; empty where there is one"""
     _made: list[BlockReference] = field(default_factory=list)
-    """Collections: of the preview, or of what was captured"""
+    """The collections of the preview, or of the hands that were captured"""
     _last: float = 0.0
     """The scene frame on which the preview ends"""
     _actions: dict[BlockReference, BlockReference] = field(default_factory=dict)
-    """The action written to, by character"""
+    """The action that was written to, by character"""
 
     @property
     def take_path(self) -> Path:
-        """Where its take is kept, beside the recording."""
+        """Return the path of the recording's take, beside it."""
         return self.path.with_suffix(".take.npz")
 
     @property
     def collections(self) -> list[bpy.types.Collection]:
-        """The collections that it has in the scene now."""
+        """Return the collections that the take has in the scene now."""
         return [found for made in self._made if (found := made.find()) is not None]
 
     def text(self) -> str:
-        """Its name and length, and how far its capture is."""
+        """Return the take's name and length, and how far its capture is."""
         job = self.job
         name = f"Take {self.number}: {self.seconds:.1f} s"
         if job is None or job.state == "waiting":
@@ -100,7 +100,8 @@ class LiveTake:
         return name if job.state == "done" else f"{name}, preview: {job.result.message}"
 
     def motions(self, rate: float) -> tuple[np.ndarray, dict[Side, HandMotion]]:
-        """The scene frames (T,), and what the hands did that were shown, at `rate` frames per second."""
+        """Return scene frames (T,) and the motions of the hands that were shown, at `rate` frames per
+        second."""
         times = np.array([time for time, _ in self.poses])
         frames = self.frame + np.arange(max(1, round(float(times[-1] - times[0]) * rate) + 1))
         wanted = times[0] + (frames - self.frame) / rate
@@ -184,12 +185,13 @@ class LiveTake:
                 record_written_keys(armature, action, action_slot(data) if data is not None else None, one)
 
     def set_aside(self, aside: bool) -> None:
-        """Hide it while hands follow that stand where it does, or show it again."""
+        """Hide the take while hands follow that stand where it does, or show it again."""
         for collection in self.collections:
             set_aside(collection, aside)
 
     def throw_away(self) -> None:
-        """Remove what came of it, and its files. Raises OutputError where a file cannot be removed."""
+        """Remove all that was made from the recording, and its files. Raises OutputError where a file
+        cannot be removed."""
         while self.job is not None and not self.job.finished:
             jobs.cancel(self.job)  # the second time without keeping what is finished
         scene = self.scene.find()
@@ -221,15 +223,15 @@ def live_transfer(
     anchors: dict[Target, Anchor],
     into: Into = "NEW",
 ) -> TransferOptions:
-    """How motion that was seen live goes onto hands of a character: as its panel says, but for arms, which
-    are not seen live; hands without an anchor are not turned."""
+    """Return the options by which motion that was seen live goes onto hands of a character: as its panel
+    says, but for arms, which are not seen live; hands without an anchor are not turned."""
     its = {side: anchors[character, side] for side in sides if (character, side) in anchors}
     how = TransferOptions.of(armature, into=into, arms=False, anchors=its, time_offset=0)
     return how if len(its) == len(sides) else TransferOptions(into=into, contacts=how.contacts)
 
 
 def new_take(scene: BlockReference, options: CaptureOptions, followed: Followed) -> LiveTake:
-    """The next take of the scene's folder, which begins on the present frame. Raises OutputError."""
+    """Return the next take of the scene's folder, which begins on the present frame. Raises OutputError."""
     folder = planned_folder()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -243,7 +245,7 @@ def new_take(scene: BlockReference, options: CaptureOptions, followed: Followed)
 
 
 def planned_folder() -> Path:
-    """Where recordings will be written."""
+    """Return the path of the folder to which recordings will be written."""
     folder = bpy.context.scene.manient.live.folder
     if folder and (bpy.data.filepath or not folder.startswith("//")):
         return Path(preferences.full_path(folder))

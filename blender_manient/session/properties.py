@@ -71,11 +71,12 @@ def _lens_names() -> list[str]:
 
 
 choices_of_option: dict[str, Callable[[], list[str]]] = {"measured_lens": _lens_names}
-"""Name of an option -> the function that returns its choices; modules add theirs when they are registered"""
+"""By the name of an option, the function that returns its choices; modules add theirs when they are
+registered"""
 
 
 def _found(option: str) -> Callable[[Any, bpy.types.Context, str], list[str]]:
-    """A text field's `search` function: the option's choices that contain what is typed."""
+    """Return a text field's `search` function: it gives the option's choices that contain what is typed."""
     return lambda _settings, _context, typed: [
         name for name in choices_of_option.get(option, list)() if typed.lower() in name.lower()
     ]
@@ -87,13 +88,14 @@ EXPORT_FORMATS = tuple(
 
 
 def described(option: Option, more_help: str = "") -> str:
-    """A property's description: the option's help, and more."""
+    """Return a property's description: the option's help, and more."""
     return option.help[0].upper() + option.help[1:] + more_help
 
 
 def option_property(name: str, units: float = 1.0, more_help: str = "") -> dict[str, Any]:
-    """A property's description, default and range, as the capture's option of that name has them. `units`:
-    the panel's units in one of the option's; `more_help` is added to the description."""
+    """Return a property's description, default and range, as the capture's option of that name has them.
+
+    `units`: the panel's units in one of the option's; `more_help` is added to the description."""
     option = OPTIONS[name]
     shown: dict[str, Any] = {"description": described(option, more_help)}
     if option.default is not None:
@@ -104,7 +106,7 @@ def option_property(name: str, units: float = 1.0, more_help: str = "") -> dict[
 
 
 def has_surface(obj: bpy.types.Object) -> bool:
-    """True if a hand may hold an object of its type."""
+    """True if an object is of a type that a hand may hold."""
     return obj.type in ("MESH", "CURVE", "SURFACE", "FONT", "META")
 
 

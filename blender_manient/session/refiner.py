@@ -42,9 +42,9 @@ from ..scene.store import CapturedHand, hand_of, row_of_view
 from . import jobs
 
 _ON_ROW = 0.01
-"""scene frames. The scene stands on a source frame when it is no farther from it"""
+"""Scene frames: the scene stands on a source frame when it is no farther from it"""
 _NEAREST = 1e-3
-"""metres before the camera; nearer, or behind it, nothing is seen"""
+"""Metres before the camera; what is nearer, or behind it, is not seen"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +56,11 @@ class BonePoses(Batch):
     locations: np.ndarray
     """(N, 3) metres along the wrist bone's axes"""
     landmarks: np.ndarray
-    """(N, 21, 2) pixels: where the points that can be dragged lie"""
+    """(N, 21, 2) pixels of the picture: where the points that can be dragged lie"""
 
     @property
     def present(self) -> np.ndarray:
-        """(N,) bool: frames with a hand."""
+        """Return (N,) bool: the frames with a hand."""
         return np.asarray(np.isfinite(self.locations).all(axis=1))
 
 
@@ -87,7 +87,7 @@ class Refiner:
 
     @property
     def hand(self) -> CapturedHand:
-        """The hand as it is now. Raises OptionError where it is gone."""
+        """Return the hand as it is now. Raises OptionError where it is gone."""
         armature = self.armature_or_none
         hand = hand_of(armature) if armature is not None else None
         if hand is None:
@@ -96,38 +96,38 @@ class Refiner:
 
     @property
     def armature_or_none(self) -> bpy.types.Object | None:
-        """The hand's armature, under whatever name it has now; None where it is gone."""
+        """Return the hand's armature, under whatever name it has now; None where it is gone."""
         return self._reference.find()
 
     @property
     def armature(self) -> bpy.types.Object:
-        """The hand's armature. Raises OptionError where it is gone."""
+        """Return the hand's armature. Raises OptionError where it is gone."""
         return self.hand.armature
 
     def shaped(self) -> ShapedHand:
-        """The model in that shape; computed when it changes."""
+        """Return the model in the hand's present shape; computed when that changes."""
         betas = self.hand.betas
         if self._shaped is None or self._shaped[0] != tuple(betas):
             self._shaped = tuple(betas), self.model.shaped(betas)
         return self._shaped[1]
 
     def scene_frames(self) -> np.ndarray:
-        """(T,) scene frames of the take's rows."""
+        """Return (T,) scene frames of the take's rows."""
         return corrections.timing_of(self.armature).scene_frames(self.take.frame_numbers)
 
     def row_at(self, frame: float) -> int | None:
-        """The row that a scene frame shows; None between and beyond the source's frames."""
+        """Return the row, an index, that a scene frame shows; None between and beyond the source's frames."""
         frames = self.scene_frames()
         row = int(np.argmin(np.abs(frames - frame)))
         return row if abs(frames[row] - frame) <= _ON_ROW else None
 
     def source_frame(self, row: int) -> int:
-        """A row's source frame number."""
+        """Return the source frame number of a row."""
         return int(self.take.frame_numbers[row])
 
     @property
     def cameras(self) -> tuple[bpy.types.Object, ...]:
-        """The cameras that are there of the capture's views, the first one's before the second one's; none
+        """Return the existing cameras of the capture's views, the first one's before the second one's; none
         where the first one's is gone. Raises OptionError where the hand is gone."""
         hand = self.hand
         if hand.camera is None:
@@ -137,16 +137,17 @@ class Refiner:
         return (hand.camera, second) if there else (hand.camera,)
 
     def clip(self, view: int) -> Take:
-        """The take, or the clip and camera of its second view."""
+        """Return the take, or for the second view its clip and camera."""
         return self.take.view(view) if view else self.take
 
     def row_of_view(self, frame: float) -> int | None:
-        """The row of the second view's picture that is shown on a scene frame; None where it has none."""
+        """Return the row of the second view's picture that is shown on a scene frame; None where it has
+        none."""
         return row_of_view(self.hand.collection, frame)
 
     def motion_until(self, row: int, shown: int) -> np.ndarray:
-        """(21, 2) pixels of the second view by which the captured hand moves from a row's moment to that of
-        the picture in row `shown` of that view, up to half a frame away."""
+        """Return (21, 2) pixels of the second view by which the captured hand moves from a row's moment to
+        that of the picture in row `shown` of that view, up to half a frame away."""
         cameras = self.take.cameras
         assert cameras is not None
         there, camera = self.track.present, cameras.camera(1)
@@ -161,11 +162,11 @@ class Refiner:
         return np.asarray(share * (after - before))
 
     def pins(self, row: int) -> Pins:
-        """The pins of a row. Raises TakeError where corrections cannot be read."""
+        """Return the pins of a row. Raises TakeError where corrections cannot be read."""
         return corrections.corrections_of(self.armature).pins(self.source_frame(row))
 
     def touches(self, row: int) -> Touches:
-        """The touches of a row. Raises TakeError where corrections cannot be read."""
+        """Return the touches of a row. Raises TakeError where corrections cannot be read."""
         return corrections.corrections_of(self.armature).touching(self.source_frame(row))
 
     def is_corrected(self, row: int) -> bool:
@@ -180,16 +181,16 @@ class Refiner:
         return not self.is_corrected(row) and bool(rotation.any() or location.any())
 
     def keyed_poses(self, rows: Sequence[int]) -> BonePoses:
-        """The poses that the keys have on these rows, corrections included."""
+        """Return the poses that the keys have on these rows, corrections included."""
         quats, locations = pose_at(self.hand.rig, self.scene_frames()[list(rows)])
         return BonePoses(quats, locations, self.landmarks(quats, locations))
 
     def start_poses(self, rows: Sequence[int]) -> BonePoses:
-        """What pins on these rows are measured against: the keys, as they were before the rows' own pins.
+        """Return the poses that pins on these rows are measured against: the keys, as they were before the
+        rows' own pins.
 
         So a hand depends on where its pins are and not on the way there. What corrections of neighbouring
-        frames did here stays in.
-        """
+        frames did here stays in."""
         quats, locations = pose_at(self.hand.rig, self.scene_frames()[list(rows)])
         field = corrections.corrections_of(self.armature)
         for at, row in enumerate(rows):
@@ -200,8 +201,8 @@ class Refiner:
         return BonePoses(quats, locations, self.landmarks(quats, locations))
 
     def landmarks(self, quats: np.ndarray, locations: np.ndarray, view: int = 0) -> np.ndarray:
-        """(N, 21, 2) pixels of a view: where the points of bones (N, 16, 4), (N, 3) lie; NaN behind its
-        camera."""
+        """Return (N, 21, 2) pixels of a view: where the points lie of bones with rotations (N, 16, 4) and
+        wrist locations (N, 3); NaN behind its camera."""
         pose = self.hand.rig.from_bones(self.shaped(), quats, locations)
         # Wherever armature and camera have been moved: the take's own frame is the picture's.
         points = landmark_points(self.model, self.hand.betas, *pose)
@@ -214,7 +215,8 @@ class Refiner:
         return np.where(behind[..., None], np.nan, intrinsics.project(points))
 
     def shown_landmarks(self, view: int = 0) -> np.ndarray:
-        """(21, 2) pixels of a view: where the points of the bones lie as they stand now, keyed or not."""
+        """Return (21, 2) pixels of a view: where the points of the bones lie as they stand now, keyed or
+        not."""
         rig = self.hand.rig
         location = np.array(rig.armature.pose.bones[rig.bones[0]].location, dtype=np.float64)
         return self.landmarks(displayed_pose(rig)[None], location[None], view)[0]
@@ -228,11 +230,11 @@ class Refiner:
         smoothing: float = CaptureOptions.smoothing,
         touches: Sequence[Touches] | None = None,
     ) -> Callable[[], dict[str, Any]]:
-        """A call that makes the fields of a `refit` request: these rows, their pins, the poses to start from.
-        `touches`: None for those that are kept.
+        """Return a function that makes the fields of a `refit` request: these rows, their pins, the poses to
+        start from.
 
-        The call asks nothing of Blender any more, so that for many frames it can wait for a later moment.
-        """
+        `touches`: None for those that are kept. The function asks nothing of Blender any more, so that for
+        many frames its call can wait for a later moment."""
         shaped, rest, betas = self.shaped(), self.hand.rig.rest, self.hand.betas
         locked = np.array(self.armature.manient.locked, dtype=bool)
         rows = list(rows)
@@ -265,7 +267,8 @@ class Refiner:
         return fields
 
     def poses(self, done: Mapping[str, Any], count: int = 1) -> BonePoses:
-        """The poses of `count` frames in a `done` event, as the bones have them. Raises ProtocolError."""
+        """Return the poses of `count` frames in a `done` event, as the bones have them. Raises
+        ProtocolError."""
         result = result_from_message(done, count)
         count = len(result.transl)
         quats = np.full((count, NUM_JOINTS, 4), np.nan)
@@ -277,8 +280,8 @@ class Refiner:
         return BonePoses(quats, locations, landmarks)
 
     def gaps(self, poses: BonePoses, touches: Sequence[Touches]) -> np.ndarray:
-        """(N,) metres between the skins at the points that touch in each of N poses, those of the widest gap;
-        NaN where there is no hand, or nothing touches."""
+        """Return (N,) metres between the skins at the points that touch in each of N poses, those of the
+        widest gap; NaN where there is no hand, or nothing touches."""
         gaps, there = np.full(len(touches), np.nan), poses.present
         rows = np.array([row for row, of_row in enumerate(touches) for _ in of_row if there[row]], dtype=int)
         if len(rows):
@@ -288,7 +291,7 @@ class Refiner:
         return gaps
 
     def lying_over(self, poses: BonePoses) -> list[Touches]:
-        """For each of N poses the touches of finger bones that cross the thumb in the picture, and of
+        """Return for each of N poses the touches of finger bones that cross the thumb in the picture, and of
         fingertips on the palm."""
         there, found = np.flatnonzero(poses.present), list[Touches]({} for _ in poses.locations)
         pose, pixels = self._hand_poses(poses)[there], poses.landmarks[there]
@@ -298,7 +301,7 @@ class Refiner:
         return found
 
     def _hand_poses(self, poses: BonePoses) -> np.ndarray:
-        """(N, 45) hand_pose, NaN where there is no hand."""
+        """Return (N, 45) hand_pose, axis-angle in radians; NaN where there is no hand."""
         there, found = poses.present, np.full((len(poses.locations), 45), np.nan)
         bones = poses.quats[there], poses.locations[there]
         _, found[there], _ = self.hand.rig.from_bones(self.shaped(), *bones)
@@ -332,13 +335,14 @@ class Refiner:
 
 
 def _steps(frame_numbers: np.ndarray, rows: Sequence[int]) -> tuple[int, tuple[int, ...]]:
-    """Every how many-th frame of the source a take has, and after which of the `rows` some are missing."""
+    """Return every how many-th frame of the source a take has, and after which of the `rows` some are
+    missing."""
     step = int(np.diff(frame_numbers).min()) if len(frame_numbers) > 1 else 1
     return step, tuple(int(at) for at in np.flatnonzero(np.diff(frame_numbers[list(rows)]) > step))
 
 
 def why_not_refinable(track: HandTrack) -> str | None:
-    """Why the picture cannot tell how a hand is to be corrected, in a sentence; None where it can."""
+    """Return why the picture cannot tell how a hand is to be corrected, in a sentence; None where it can."""
     if not track.detected.any() and not track.added:
         return (
             "a mirrored hand is not in the picture: correct the hand that it was made from, and mirror that"
@@ -349,7 +353,8 @@ def why_not_refinable(track: HandTrack) -> str | None:
 
 
 def why_not_smoothable(hand: CapturedHand) -> str | None:
-    """Why nothing tells how a hand moves beside its keys, in a sentence; None where its keypoints do."""
+    """Return why nothing tells how a hand moves beside its keys, in a sentence; None where its keypoints
+    do."""
     track, solver = hand.track, hand.take.solver
     if track.added:
         return "a hand that was added by hand has no keypoints of the footage to smooth: its keys are all"
@@ -362,13 +367,14 @@ def why_not_smoothable(hand: CapturedHand) -> str | None:
 
 
 def smoothing_of(scene: bpy.types.Scene, armature: bpy.types.Object) -> float:
-    """The strength of smoothing that a hand's keys have, as far as it is known; else the next capture's."""
+    """Return the strength of smoothing that a hand's keys have, as far as it is known; else the next
+    capture's."""
     own = armature.manient
     return own.smoothing if own.is_property_set("smoothing") else scene.manient.smoothing
 
 
 def why_not(context: bpy.types.Context, hand: CapturedHand | None) -> str | None:
-    """Why a hand cannot be refined now: a sentence for a tooltip; None where it can."""
+    """Return why a hand cannot be refined now, a sentence for a tooltip; None where it can."""
     if hand is None:
         return "Select a captured hand: its armature or its mesh"
     why = why_not_keyable(hand.armature)

@@ -23,7 +23,7 @@ from . import details, properties
 from .cache import remove_temporary_takes
 
 _EXIT_WAIT_SECONDS = 3.0
-"""seconds that disabling the add-on waits for killed processes; they need a tenth of one"""
+"""Seconds that disabling the add-on waits for killed processes; they need a tenth of one"""
 
 
 @dataclass(frozen=True)
@@ -38,10 +38,9 @@ _worker_settings: _Settings | None = None
 
 
 def worker() -> Worker:
-    """The shared worker; its process starts with the first request, or with `start()`.
+    """Return the shared worker; its process starts with the first request, or with `start()`.
 
-    Another one after the preferences have changed, as soon as the old one has nothing left to do.
-    """
+    It is another one after the preferences have changed, as soon as the old one has nothing left to do."""
     global _worker, _worker_settings
     settings = _settings()
     if _worker is None or (settings != _worker_settings and not _worker.busy):
@@ -52,18 +51,18 @@ def worker() -> Worker:
 
 
 def current() -> Worker | None:
-    """The shared worker; None where it was not made yet."""
+    """Return the shared worker; None where it was not made yet."""
     return _worker
 
 
 def detectors() -> list[str]:
-    """The names of the detectors that the Python has which captures; none before it was started."""
+    """Return the names of the detectors that the capturing Python has; none before it was started."""
     return _offered_names("detectors")
 
 
 def solvers() -> list[str]:
-    """The names of the capturing Python's solvers without the paper's experiments; none where no plug-in adds
-    any."""
+    """Return the names of the capturing Python's solvers without the paper's experiments; none where no
+    plug-in adds any."""
     names, ours = _offered_names("solvers"), SOLVERS.built_in()
     return [n for n in names if n not in ours or not ours[n].slow] if {*names} - {*ours} else []
 
@@ -74,7 +73,7 @@ def _offered_names(kind: str) -> list[str]:
 
 
 def new_worker(python: str | None = None) -> Worker:
-    """A worker beside the shared one, with the preferences' settings, or with another `python`."""
+    """Return a worker beside the shared one, with the preferences' settings, or with another `python`."""
     settings = _settings()
     python = python or settings.python
     advice = f"{CHOOSE_PYTHON} in the add-on's preferences"
@@ -93,7 +92,7 @@ def stop() -> None:
 
 
 _STAGES = {"detect": "Finding hands", "arms": "Finding arms", "fit": "Fitting", "join": "Joining views"}
-"""A stage of the worker in words"""
+"""The stages of the worker in words, by their names"""
 
 
 @dataclass(frozen=True)
@@ -107,9 +106,9 @@ class Progress:
     view: int = 0
     done: float = 0
     total: float = 0
-    """Frames of the stage; 0 while unknown"""
+    """How many frames the stage has; 0 while unknown"""
     began: float = field(default_factory=time.monotonic)
-    """The moment of `time.monotonic` at which the stage, or before the first one the request, began"""
+    """The moment of `time.monotonic` at which the stage began, or the request before its first stage"""
     first: float = 0
     """The value of `done` in the first event of the stage"""
     warnings: tuple[str, ...] = ()
@@ -122,29 +121,30 @@ class Progress:
 
     @property
     def part(self) -> float:
-        """How much of the stage is done, 0..1; 0 where nobody knows how long it takes."""
+        """Return how much of the stage is done, 0..1; 0 where nobody knows how long it takes."""
         return self.done / self.total if self.total else 0.0
 
     @property
     def rate(self) -> float:
-        """Frames per second of this stage; 0 while unknown."""
+        """Return the frames per second of this stage; 0 while unknown."""
         spent, frames = time.monotonic() - self.began, self.done - self.first
         return frames / spent if self.stage and frames > 0 and spent > 0.2 else 0.0
 
     def stage_text(self, views: int = 1) -> str:
-        """The stage in words, of which view where there are more, and how many of its frames are done."""
+        """Return the stage in words, of which view where there are more, and how many of its frames are
+        done."""
         text = _STAGES.get(self.stage, self.title)
         if views > 1 and self.stage in ("detect", "fit"):
             text += f", view {self.view + 1}"
         return f"{text}  {self.done}/{self.total}" if self.total > 1 else text
 
     def __str__(self) -> str:
-        """The title with what is done, or with the seconds so far."""
+        """Return the title with what is done, or with the seconds so far."""
         far = f"{self.done}/{self.total}" if self.total else f"{time.monotonic() - self.began:.0f} s"
         return f"{self.title}  {far}"
 
     def after(self, event: Event) -> Progress:
-        """How far it is after an event of the worker."""
+        """Return the progress after an event of the worker."""
         if event["event"] == "warning":
             offer, text = event.get("offer", ""), event["message"]
             warnings = (text, *self.warnings) if offer else (*self.warnings, text)
@@ -158,7 +158,7 @@ class Progress:
 
 
 Asking = Generator[Progress, None, Event]
-"""A request that is waited for"""
+"""A request to the worker that is waited for"""
 
 
 def ask(kind: str, title: str, of_worker: Worker | None = None, **fields: Any) -> Asking:
@@ -193,8 +193,8 @@ def ask(kind: str, title: str, of_worker: Worker | None = None, **fields: Any) -
 
 
 def advance(asking: Asking) -> Event | None:
-    """Go on with what `ask` waits for: its answer, None while there is none. Raises HandfitError where the
-    request failed."""
+    """Go on with what `ask` waits for; return its answer, None while there is none. Raises HandfitError where
+    the request failed."""
     try:
         next(asking)
     except StopIteration as stop:
@@ -209,12 +209,12 @@ def _settings() -> _Settings:
 
 
 def bytecode_folder() -> Path | None:
-    """Where Blender's own Python keeps what it compiles for the worker; compiling anew costs each start.
+    """Return the folder where Blender's own Python keeps what it compiles for the worker; compiling anew
+    costs each start.
 
     Blender unpacks wheels without compiling them, and what lay beside them would be left behind when it
-    removes them; so a folder that goes with the extension. In it whole paths are repeated, which Windows
-    finds too long.
-    """
+    removes them; so it is a folder that goes with the extension. In it whole paths are repeated, which
+    Windows finds too long."""
     if sys.platform == "win32" or not installation.is_installed():
         return None
     return Path(bpy.utils.extension_path_user(preferences.ADDON, path="bytecode"))

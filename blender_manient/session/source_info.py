@@ -50,7 +50,7 @@ _KINDS = {
     "data": "Hands of another program",
 }
 _POLL_SECONDS = 0.1
-"""seconds"""
+"""Seconds between two looks for the worker's answers"""
 
 
 @dataclass(frozen=True)
@@ -58,21 +58,21 @@ class SourceFiles:
     """The files that a capture reads."""
 
     kind: SourceKind
-    """data: another program's hands"""
+    """The kind of the source; `data` is another program's hands"""
     files: tuple[str, ...]
-    """absolute: the photo, the video, the other program's file or folder, or every picture of a sequence in
-    order"""
+    """Absolute paths: of the photo, the video, the other program's file or folder, or every picture of a
+    sequence in order"""
     left_out: str = ""
-    """A sentence about other files of the folder, which are not read"""
+    """A sentence about other files of the folder, which are not read; empty where there are none"""
 
     @property
     def numbers(self) -> list[int] | None:
-        """The frame numbers of a numbered sequence; None for anything else."""
+        """Return the frame numbers of a numbered sequence; None for anything else."""
         return sequence_numbers([Path(f) for f in self.files]) if self.kind == "sequence" else None
 
 
 def resolve(path_text: str, *, as_sequence: bool) -> SourceFiles:
-    """The files behind a path of the panel. Blender's `//` and `~` are understood.
+    """Return the files behind a path of the panel. Blender's `//` and `~` are understood.
 
     Raises InputError with a sentence for the panel.
     """
@@ -113,7 +113,7 @@ def _resolved(path_text: str, as_sequence: bool) -> SourceFiles:
 
 
 def numbered_siblings(path: Path) -> list[Path]:
-    """The pictures beside `path` whose names differ from its own in the last number only, in order;
+    """Return the pictures beside `path` whose names differ from its own in the last number only, in order;
     without the numbers of a camera's counter (see `sequence_numbers`)."""
     beside = [file for _, file in numbered_like(path)]
     return beside if len(beside) > 1 and sequence_numbers(beside) is not None else []
@@ -128,9 +128,9 @@ class SourceInfo:
     files: SourceFiles | None = None
     problem: str = ""
     siblings: int = 0
-    """Numbered pictures that lie beside a photo, with it"""
+    """How many numbered pictures lie beside a photo, with it"""
     frames: int = 0
-    """0: not known yet"""
+    """How many frames the source has; 0 while unknown"""
     width: int = 0
     height: int = 0
     fps: float = 0.0
@@ -140,17 +140,17 @@ class SourceInfo:
     """True if these are another program's hands in pictures of a size that their file does not tell"""
     pictured: int | None = None
     picture: str = ""
-    """The file with the newest picture of a frame that came"""
+    """The path of the file with the newest picture of a frame that came; empty before"""
 
     def has_frame(self, number: int) -> bool:
-        """True if it may have a frame of that number, as far as is known."""
+        """True if the source may have a frame of that number, as far as is known."""
         if not self.frames or self.files is None:
             return number >= 0
         return number in (self.files.numbers or range(self.first, self.last + 1))
 
     @property
     def is_gone(self) -> bool:
-        """True if its file was there and is not any more."""
+        """True if the source's file was there and is not any more."""
         return self.files is not None and not Path(self.files.files[0]).exists()
 
 
@@ -165,7 +165,7 @@ _previews: Any = None
 
 
 def of(settings, field: Field = "source") -> SourceInfo:
-    """What is known of the panel's source, or of its second view; cheap enough for drawing."""
+    """Return what is known of the panel's source, or of its second view; cheap enough for drawing."""
     if not _is_known(settings, field) or _known[field].is_gone:
         _known[field] = _inspect(*_wanted(settings, field))
     return _known[field]
@@ -185,8 +185,8 @@ def has_views(info: SourceInfo) -> bool:
 
 
 def footage(settings, info: SourceInfo, *, only: int | None = None) -> Footage | None:
-    """What a scene would be matched to by capturing the panel's source, or `only` one frame of it; None while
-    nobody knows."""
+    """Return what a scene would be matched to by capturing the panel's source, or `only` one frame of it;
+    None while nobody knows."""
     width, height = settings.picture_size if info.unsized else (info.width, info.height)
     clip = camera_clip(settings, info.files)
     if info.files is None or not (clip or (width and height)):
@@ -203,15 +203,16 @@ def footage(settings, info: SourceInfo, *, only: int | None = None) -> Footage |
 
 
 def camera_clip(settings, files: SourceFiles | None) -> CameraClip | None:
-    """The clip of the scene's camera, if it is what the panel's source names and that camera is used."""
+    """Return the clip of the scene's camera, if it is what the panel's source names and that camera is used;
+    else None."""
     if files is None or settings.camera != "ACTIVE" or files.kind not in ("video", "sequence"):
         return None
     return next((clip for clip in camera_clips(settings.id_data) if clip.is_of(files.files)), None)
 
 
 def shown_frame(context: bpy.types.Context, files: SourceFiles) -> int:
-    """The source's frame at the scene's current frame: that which a capture of it shows there, else the one
-    of that number."""
+    """Return the source's frame at the scene's current frame: that which a capture of it shows there, else
+    the one of that number."""
     frame = context.scene.frame_current
     clip = camera_clip(context.scene.manient, files)
     if clip is not None:
@@ -229,8 +230,8 @@ def lacks_size(settings, info: SourceInfo) -> bool:
 
 
 def dropped_footage(settings, path: Path) -> Footage | None:
-    """What a scene would take over from a dropped file; None but for videos, whose headers Blender reads at
-    once."""
+    """Return what a scene would take over from a dropped file; None but for videos, whose headers Blender
+    reads at once."""
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         return None
     try:
@@ -270,8 +271,8 @@ def _ask(
 
 
 def source_chosen(settings) -> None:
-    """Another source, to which the former one's keypoints, size and second view do not belong, and which the
-    scene's camera saw if it is that camera's clip; undo brings all back by itself."""
+    """Forget the former source's keypoints, size and second view, which do not belong to another one, and use
+    the scene's camera if the new source is that camera's clip; undo brings all back by itself."""
     former = _known.get("source")
     source_changed(settings)
     if former is None or former.path != settings.source:
@@ -289,7 +290,7 @@ def _is_of_camera(settings, info: SourceInfo) -> bool:
 
 
 def view_chosen(settings) -> None:
-    """Another second view, to which the former one's offset and distance do not belong."""
+    """Forget the former second view's offset and distance, which do not belong to another one."""
     if "second_view" not in _known or _known["second_view"].path != settings.second_view:
         for name in ("cameras", "view_lens", "use_offset", "use_pair", "use_baseline"):
             settings.property_unset(name)
@@ -309,8 +310,8 @@ def pair_changed(settings) -> None:
 
 
 def chosen_offset(settings) -> float | None:
-    """Seconds from the start of what is captured of the source to that of the second view, as told by the
-    artist; None where it is to be found. Raises OptionError."""
+    """Return the seconds from the start of what is captured of the source to that of the second view, as told
+    by the artist; None where it is to be found. Raises OptionError."""
     if not settings.use_offset:
         return None
     if not settings.use_pair:
@@ -326,7 +327,8 @@ def chosen_offset(settings) -> float | None:
 
 
 def in_words(settings, info: SourceInfo, name: str = "") -> str:
-    """Kind, or the name, size, frames and rate of a source whose files were found, for one line."""
+    """Return kind, or the name, size, frames and rate of a source whose files were found, as words for one
+    line."""
     assert info.files is not None
     clip = None if name else camera_clip(settings, info.files)
     kind = _KINDS[info.files.kind]
@@ -343,7 +345,8 @@ def in_words(settings, info: SourceInfo, name: str = "") -> str:
 
 
 def frame_picture(info: SourceInfo, frame: int) -> int:
-    """An icon of one frame, which the worker is asked for; until it comes, that of the last one, or 0."""
+    """Return the icon of one frame, which the worker is asked for; until it comes, that of the last one, or
+    0."""
     if info.files is None or bpy.app.background:
         return 0
     if info.pictured != frame and not any(about is info for _, about, _ in _asked):

@@ -14,27 +14,27 @@ from handfit_core.common.skeleton import SIDES, HandChoice, Side, other_side
 from handfit_core.detect.detector import Region
 
 SAME_HAND_DISTANCE: Final = 0.25
-"""Hands whose points are nearer than this, in units of their size, are one"""
+"""The distance of points, in units of the hands' size, below which two hands are one"""
 FOUND_AGAIN: Final = (
     "The box shows no other hand than the one that is found already, which stays: draw it around the other "
     "hand alone, or lay that one there yourself with Add Hand"
 )
 FOUND_BETTER: Final = "The hand that was found here is replaced by a better one (Ctrl Z: as it was)"
 HOVER_DISTANCE: Final = 0.3
-"""A hand is pointed at within this part of its size from one of its points"""
+"""The distance from one of a hand's points, as a share of its size, within which the mouse points at it"""
 
 
 @dataclass(frozen=True, eq=False)
 class FoundHand:
-    """One hand of the picture."""
+    """One hand that was found in the picture."""
 
     points: np.ndarray
     """(21, 2) pixels of the upright picture"""
     certainty: float
     detected_side: Side
-    """the side that the detector named"""
+    """The side that the detector named"""
     side: Side
-    """the side to capture it as, which the artist may change"""
+    """The side to capture the hand as, which the artist may change"""
     box: tuple[float, ...]
     """x, y, width and height in pixels by which a capture finds it again: about its points, or as the artist
     has drawn it"""
@@ -42,7 +42,7 @@ class FoundHand:
 
     @classmethod
     def of(cls, hand: dict[str, Any], drawn: tuple[float, ...] | None = None) -> FoundHand:
-        """A hand of the answer to a `find` request; `drawn`: the box in which it was searched."""
+        """Return a hand of the answer to a `find` request; `drawn`: the box in which it was searched."""
         points, side = unpack(hand["keypoints"]).astype(float), hand["side"]
         low = points.min(axis=0)
         box = drawn or (*low.tolist(), *np.maximum(points.max(axis=0) - low, 1.0).tolist())
@@ -50,11 +50,11 @@ class FoundHand:
 
     @property
     def extent(self) -> float:
-        """The longer side of the box of its points, pixels of the picture."""
+        """Return the longer side of the box of the hand's points, in pixels of the picture."""
         return float(np.ptp(self.points, axis=0).max())
 
     def is_same_hand(self, other: FoundHand) -> bool:
-        """True if both are detections of one hand."""
+        """True if this hand and the other are detections of one hand."""
         apart = np.linalg.norm(self.points - other.points, axis=-1).mean()
         return bool(apart < SAME_HAND_DISTANCE * max(self.extent, other.extent))
 
@@ -68,7 +68,7 @@ class Choice:
 
     @property
     def chosen(self) -> tuple[FoundHand, ...]:
-        """The hands that are to be built."""
+        """Return the hands that are to be built."""
         return tuple(hand for hand in self.hands if hand.chosen)
 
     def show(self, found: Iterable[dict[str, Any]], wanted: HandChoice) -> None:
@@ -108,14 +108,14 @@ class Choice:
         self._set_hands(tuple(replace(hand, chosen=every) for hand in self.hands))
 
     def undo(self) -> bool:
-        """Take the last step back; whether there was one."""
+        """Take the last step back; return whether there was one."""
         if self._undo_steps:
             self.hands = self._undo_steps.pop()
             return True
         return False
 
     def regions(self, frame: int | None) -> tuple[Region, ...]:
-        """The chosen hands as a capture's regions; `frame` of the source, None for a photo."""
+        """Return the chosen hands as a capture's regions; `frame` of the source, None for a photo."""
         return tuple(
             replace(
                 region_of(hand.box), frame=frame, side=hand.side if hand.side != hand.detected_side else None
@@ -124,9 +124,10 @@ class Choice:
         )
 
     def hand_at(self, place: np.ndarray, scale: float, reach: float) -> FoundHand | None:
-        """The hand with the point nearest to a place (2,) in the picture, if it is near enough: `reach`
-        pixels of the region, or more where the hand is large. `scale`: pixels of the region for one of the
-        picture."""
+        """Return the hand with the point nearest to a place (2,) in the picture, if it is near enough:
+        `reach` pixels of the region, or more where the hand is large; else None.
+
+        `scale`: pixels of the region for one of the picture."""
         away = {hand: float(np.linalg.norm(hand.points - place, axis=-1).min()) for hand in self.hands}
         near = [hand for hand in self.hands if away[hand] <= max(reach / scale, HOVER_DISTANCE * hand.extent)]
         return min(near, key=away.__getitem__, default=None)

@@ -28,17 +28,17 @@ DARK: Final = (0.05, 0.05, 0.05)
 DOUBT_COLOR: Final = (1.0, 0.55, 0.15)
 
 TEXT_SIZE: Final = 13.0
-"""size of text, at a user interface scale of 1"""
+"""The size of text in points, at a user interface scale of 1"""
 RADIUS: Final = 5.0
-"""pixels of a handle with room around it, at a user interface scale of 1"""
+"""The radius in pixels of a handle that no other crowds, at a user interface scale of 1"""
 _LEAST_RADIUS: Final = 1.5
-"""Pixels: the size of a handle that others nearly cover"""
+"""The radius in pixels of a handle that others nearly cover, at a user interface scale of 1"""
 _RIM: Final = 1.5
-"""pixels of the dark edge around it, likewise"""
+"""The width in pixels of the dark edge around a handle, at a user interface scale of 1"""
 _ACTIVE, _PINNED = 1.35, 2.1
 """How much larger a handle is under the mouse, and how much a pin is"""
 _LINE: Final = 2.0
-"""pixels: the width of a bone of a hand with room for its handles"""
+"""The width in pixels of a bone of a hand with room for its handles, at a user interface scale of 1"""
 
 _PARTS: Final = {
     "thumb": ("Base", "Knuckle", "Joint", "Tip"),
@@ -47,7 +47,7 @@ _PARTS: Final = {
 
 
 def title(keypoint: int) -> str:
-    """An artist's name of a keypoint, such as `Index Tip`."""
+    """Return an artist's name of a keypoint, such as `Index Tip`."""
     if keypoint == 0:
         return "Wrist"
     finger, part = FINGERS[(keypoint - 1) // 4], (keypoint - 1) % 4
@@ -55,7 +55,7 @@ def title(keypoint: int) -> str:
 
 
 def color(keypoint: int) -> tuple[float, float, float]:
-    """A keypoint's colour: its finger's."""
+    """Return a keypoint's colour, which is its finger's."""
     return WRIST_COLOR if keypoint == 0 else FINGER_COLORS[FINGERS[(keypoint - 1) // 4]]
 
 
@@ -64,22 +64,22 @@ class Picture:
     """A hand's points in the region, and the line of text above them."""
 
     places: np.ndarray
-    """(21, 2) pixels of the region; NaN: not drawn"""
+    """(21, 2) pixels of the region where the points are; NaN: not drawn"""
     pinned: frozenset[int]
     hovered: int | None
     dragged: int | None
     text: str
-    """A line at the top of the picture"""
+    """The line of text at the top of the picture"""
     warning: bool
     """True if the line is a warning"""
     corner: tuple[float, float]
-    """pixels of the region: where the line begins"""
+    """Pixels of the region, x and y, where the line of text begins"""
     hollow: bool = False
     """True if the points are detections and not where the hand is"""
 
 
 def draw(picture: Picture) -> None:
-    """Draw in the current region, in pixels."""
+    """Draw the points and the line in the current region."""
     scale = ui_scale()
     sizes = handle_sizes(picture, scale)
     ends = picture.places[LINES]  # (20, 2, 2)
@@ -110,8 +110,8 @@ def blended() -> Iterator[None]:
 
 
 def half_gaps(places: np.ndarray) -> np.ndarray:
-    """(21,) pixels to half-way from each of `places` (21, 2) to the nearest other one; infinite for a place
-    alone, and NaN for one that is NaN."""
+    """Return (21,) pixels to half-way from each of `places` (21, 2) to the nearest other one; infinite for a
+    place alone, and NaN for one that is NaN."""
     apart = np.linalg.norm(places[:, None] - places, axis=-1)
     apart[np.isnan(apart)] = np.inf
     np.fill_diagonal(apart, np.inf)
@@ -119,8 +119,8 @@ def half_gaps(places: np.ndarray) -> np.ndarray:
 
 
 def handle_sizes(picture: Picture, scale: float) -> np.ndarray:
-    """(21,) each handle's size relative to one that has room: as large as lets no two cover each other, where
-    they are not in the same place."""
+    """Return (21,) each handle's size relative to one that has room: as large as lets no two cover each
+    other, where they are not in the same place."""
     radius = np.full(NUM_KEYPOINTS, RADIUS)
     radius[[k for k in (picture.hovered, picture.dragged) if k is not None]] *= _ACTIVE
     outer = radius + _RIM
@@ -129,7 +129,7 @@ def handle_sizes(picture: Picture, scale: float) -> np.ndarray:
 
 
 def _draw_handles(picture: Picture, sizes: np.ndarray, scale: float) -> None:
-    """Discs or rings, and for pins diamonds in a white frame."""
+    """Draw the handles as discs or rings, and those of pins as diamonds in a white frame."""
     corners: list[np.ndarray] = []
     colors: list[np.ndarray] = []
     for keypoint in np.flatnonzero(np.isfinite(picture.places).all(axis=1)).tolist():
@@ -161,8 +161,8 @@ def write(text: str, x: float, y: float, shade: tuple[float, ...], scale: float)
 
 
 def tag_box(text: str, x: float, y: float, scale: float) -> Box:
-    """Where a tag with that text lies, whose lower left is at (x, y) pixels of the region. Sets the font's
-    size."""
+    """Return the box of a tag with that text, whose lower left is at (x, y) pixels of the region. Sets the
+    font's size."""
     blf.size(0, TEXT_SIZE * scale)
     return (x, y, x + blf.dimensions(0, text)[0] + 12.0 * scale, y + 20.0 * scale)
 
@@ -190,14 +190,16 @@ def _corners(box: Box, *order: int) -> np.ndarray:
 
 
 def _fan(sides: int) -> np.ndarray:
-    """(3 sides, 2) triangles of a regular polygon about 0, the first corner on top."""
+    """Return (3 sides, 2), the corners of the triangles of a regular polygon about 0, the first corner on
+    top."""
     angles = np.pi / 2 + np.arange(sides + 1) * (2 * np.pi / sides)
     outline = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return np.stack([np.zeros((sides, 2)), outline[:-1], outline[1:]], axis=1).reshape(-1, 2)
 
 
 def _ring(sides: int) -> np.ndarray:
-    """(6 sides, 2) triangles of a regular polygon about 0 with a hole in its middle."""
+    """Return (6 sides, 2), the corners of the triangles of a regular polygon about 0 with a hole in its
+    middle."""
     outline = _fan(sides).reshape(-1, 3, 2)[:, 1:]  # (sides, 2, 2)
     outer, inner = outline, outline * _HOLE
     corners = [outer[:, 0], outer[:, 1], inner[:, 0], inner[:, 0], outer[:, 1], inner[:, 1]]

@@ -33,17 +33,17 @@ from .choice import FOUND_AGAIN, Choice, FoundHand
 from .drawing import DARK, PIN_COLOR, draw_tag, frame_box, tag_box
 
 REACH: Final = 14.0
-"""pixels from a point of a hand within which the mouse means it, at a user interface scale of 1"""
+"""Pixels from a point of a hand within which the mouse means that hand, at a user interface scale of 1"""
 CLICK_PIXELS: Final = 6.0
-"""pixels at a user interface scale of 1. A press that moves less is a click"""
+"""Pixels, at a user interface scale of 1, that a press moves at least when it is no click"""
 MIN_BOX_PIXELS: Final = 8.0
-"""pixels of the picture a side: in smaller boxes nobody sees a hand"""
+"""The least side of a box in pixels of the picture: in smaller boxes nobody sees a hand"""
 CHOSEN_COLOR: Final = (0.10, 0.38, 0.80)
 LEFT_OUT_COLOR: Final = (0.78, 0.78, 0.78)
 STRIP_HEIGHT: Final = 34.0
-"""pixels, at a user interface scale of 1, of the strips over and under the picture"""
+"""The height in pixels, at a user interface scale of 1, of the strips over and under the picture"""
 SMALL: Final = 60.0
-"""pixels of the region, at a user interface scale of 1: the lines of smaller hands are thinner"""
+"""Pixels of the region, at a user interface scale of 1: the lines of hands that are smaller are thinner"""
 _KEYS = (
     "Click: Choose Hand    Click L or R: Other Side    Drag: Look in a Box    X: Throw Out    "
     "A: All or None    Wheel: Zoom    Middle Mouse: Move    Home: Whole Picture    Ctrl Z: Undo    "
@@ -55,7 +55,7 @@ NOTHING_THERE: Final = (
 )
 
 Name = tuple[str, str]
-"""of a button, and what stands on it"""
+"""The name of a button, and what stands on it"""
 
 
 class Source(NamedTuple):
@@ -63,11 +63,12 @@ class Source(NamedTuple):
 
     files: tuple[str, ...]
     frame: int | None
-    """of the source; None for a photo"""
+    """The number of the source's frame; None for a photo"""
     options: CaptureOptions
 
     def fields(self, box: tuple[float, ...] | None = None, picture: Path | None = None) -> dict[str, Any]:
-        """A `find` request's: for all hands, for the one in a box, or for the `picture` alone."""
+        """Return the fields of a `find` request: for all hands, for the one in a box, or for the `picture`
+        alone."""
         options = replace(
             self.options,
             frames=None if self.frame is None else FrameRange(self.frame, self.frame),
@@ -80,13 +81,13 @@ class Source(NamedTuple):
 
 @dataclass(frozen=True)
 class Button:
-    """A text to click on."""
+    """A text in the region that can be clicked on."""
 
     name: str
     text: str
     box: Box
     hand: FoundHand | None = None
-    """Whose side it is"""
+    """The hand whose side the button shows; None for a button of no hand."""
 
     def holds(self, x: float, y: float) -> bool:
         """True if a place in pixels of the region lies on it."""
@@ -94,7 +95,7 @@ class Button:
 
 
 class FindMode(view.Overlay):
-    """The state of the mode, from its start to `end`."""
+    """The state of Find Hands, from its start to `end`."""
 
     keys: Final = _KEYS
 
@@ -108,27 +109,29 @@ class FindMode(view.Overlay):
         self.hovered: FoundHand | None = None
         self.pressed = ""
         self.dragged: tuple[np.ndarray, np.ndarray] | None = None
-        """(2,) pixels of the region each: where the mouse was pressed, and where it is"""
+        """(2,) pixels of the region each: where the mouse was pressed, and where it is; None while nothing is
+        dragged"""
         self.nothing_there = False
         self._boxes: list[tuple[float, ...]] = []
-        """Drawn boxes (x, y, width, height) that are not searched yet"""
+        """Boxes (x, y, width, height) in pixels of the picture that were drawn and are not searched yet"""
         self._texture: gpu.types.GPUTexture | None = None
         self._picture = cache.temporary_take("picture").with_suffix(".jpg")
         self._asked: dict[shared_worker.Asking, tuple[float, ...] | None] = {}
-        """The box that is searched, by request; None: the whole picture"""
+        """By request, the box (x, y, width, height) in pixels of the picture that it searches; None: the
+        whole picture"""
         self._showing = self._ask(picture=self._picture)
         self._finding = self._ask()
         super().__init__(viewport)
 
     def end(self, _context: bpy.types.Context) -> None:
-        """Leave nothing behind. May be called twice."""
+        """Take the drawing away. May be called twice."""
         if self.remove():
             self._texture = None
             self._cancel_requests()
             self._picture.unlink(missing_ok=True)
 
     def trouble(self, context: bpy.types.Context) -> str | None:
-        """Why the mode cannot go on, in a sentence."""
+        """Return why the mode cannot go on, in a sentence; None where it can."""
         if jobs.busy():
             return "Find Hands: a capture has begun"
         if self.viewport() is None:
@@ -145,7 +148,7 @@ class FindMode(view.Overlay):
         return bool(self._asked)
 
     def tick(self, context: bpy.types.Context) -> None:
-        """Look for answers."""
+        """Take in what the worker has answered: the picture, the hands it found, and those in drawn boxes."""
         try:
             for asking, box in list(self._asked.items()):
                 found = shared_worker.advance(asking)
@@ -199,28 +202,29 @@ class FindMode(view.Overlay):
             self._ask(self._boxes.pop(0))
 
     def regions(self) -> tuple[Region, ...]:
-        """The chosen hands as a capture's regions."""
+        """Return the chosen hands as the regions of a capture."""
         return self.choice.regions(self.source.frame)
 
     # The mouse
 
     def room(self, viewport: view.Viewport) -> Box:
-        """Where the whole picture fits in, between the strips; pixels of the region."""
+        """Return the box, in pixels of the region, between the strips, in which the whole picture fits."""
         left, bottom, right, top = screen.free_box(viewport.area, viewport.region)
         high = STRIP_HEIGHT * ui_scale()
         return left, bottom + high, right, top - high
 
     def matrix(self, viewport: view.Viewport) -> np.ndarray:
-        """(3, 3) from pixels of the picture, once there is one, to those of the region."""
+        """Return the (3, 3) matrix from pixels of the picture, once there is one, to pixels of the region."""
         shown = self.picture_view
         return np.eye(3) if shown is None else shown.matrix(self.room(viewport))
 
     def picture_point(self, viewport: view.Viewport, mouse: np.ndarray) -> np.ndarray:
-        """A place (2,) in pixels of the region -> in pixels of the picture."""
+        """Return the place (2,) in pixels of the picture that lies at a place (2,) in pixels of the
+        region."""
         return mapped(np.linalg.inv(self.matrix(viewport)), mouse)
 
     def hover(self, viewport: view.Viewport, mouse: np.ndarray) -> bool:
-        """Take the mouse's place, (2,) pixels of the region; whether that changes what is shown."""
+        """Take the mouse's place, (2,) pixels of the region; return whether that changes what is shown."""
         before = self.hovered, self.pressed
         button = next((b for b in reversed(self.buttons(viewport)) if b.holds(*mouse)), None)
         self.pressed = button.name if button is not None else ""
@@ -231,8 +235,8 @@ class FindMode(view.Overlay):
         return before != (self.hovered, self.pressed)
 
     def release(self, viewport: view.Viewport) -> str:
-        """End a drag, which searches its box, or a click on what the mouse is over; the name of the button
-        that the operator has to handle."""
+        """End a drag, which searches its box, or a click on what the mouse is over; return the name of the
+        button that the operator has to handle."""
         assert self.dragged is not None
         (start, stop), self.dragged = self.dragged, None
         if np.abs(stop - start).max() >= CLICK_PIXELS * ui_scale():
@@ -249,7 +253,7 @@ class FindMode(view.Overlay):
     # Drawing
 
     def buttons(self, viewport: view.Viewport) -> list[Button]:
-        """All that can be clicked on: tags of the hands with their sides, and those in the lower strip."""
+        """Return all buttons: the tags of the hands with their sides, and those in the lower strip."""
         free, count = screen.free_box(viewport.area, viewport.region), len(self.choice.chosen)
         matrix, scale, tags = self.matrix(viewport), ui_scale(), list[Button]()
         for hand in self.choice.hands if self.picture_view is not None else ():
@@ -265,7 +269,7 @@ class FindMode(view.Overlay):
         )
 
     def status_line(self) -> tuple[str, bool]:
-        """The line over the picture, and whether it is a warning."""
+        """Return the line over the picture, and whether it is a warning."""
         if self.message:
             return self.message, True
         if self.hovered is not None:
@@ -362,7 +366,8 @@ class FindMode(view.Overlay):
 
 
 def row_of(left: Name | None, middle: Name, right: Name | None, free: Box) -> list[Button]:
-    """Buttons beside each other in the lower strip: `middle` lies in its middle whatever lies beside it."""
+    """Return buttons beside each other in the lower strip: `middle` lies in its middle whatever lies beside
+    it."""
     scale = ui_scale()
 
     def button(name: Name, x: float) -> Button:

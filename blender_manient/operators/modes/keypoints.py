@@ -51,9 +51,8 @@ _FRAME_SIZES: Final = 2.0
 latencies: deque[float] = deque(maxlen=2000)
 """seconds from a movement of the mouse to the hand that followed it, newest last"""
 saved_views: dict[tuple[int, int], tuple[float, tuple[float, ...], np.ndarray]] = {}
-"""The camera view, its zoom and offset, in which the artist last saw a hand, and where that was then, (21, 2)
-pixels of the picture; by the armatures' session_uid, which a rename and an undo leave and which no other
-file's hand gets, and by the view"""
+"""For each hand (its armature's session_uid) and view: zoom and offset of the camera view in which the artist
+last saw the hand, and its (21, 2) pixels of the picture then. A session_uid outlives renames and undos."""
 
 
 class _Request(NamedTuple):
@@ -63,7 +62,7 @@ class _Request(NamedTuple):
     moved_at: float
     pins: Pins
     final: bool
-    """True if the result is to be kept, and no draft"""
+    """True if the answer is to be kept, and is no draft"""
 
 
 @dataclass(eq=False)
@@ -73,7 +72,7 @@ class _Drag:
     keypoint: int
     row: int
     frame: float
-    """Scene frame"""
+    """The scene frame on which the keypoint is dragged"""
     pins_before: Pins
     start: BonePoses
     """The poses that the fit to the pins starts from"""
@@ -82,17 +81,17 @@ class _Drag:
     mouse: np.ndarray | None = None
     """(2,) pixels of the region: where it was pressed; None: nowhere, the pin goes"""
     grip: np.ndarray | float = 0.0
-    """(2,) pixels from there to the handle"""
+    """(2,) pixels of the region: from the place of the press to the handle"""
     place: np.ndarray | None = None
-    """(2,) pixels of the picture: where the pin is to be; None: it goes"""
+    """(2,) pixels of the picture: where the pin is to be; None: it is taken away"""
     moved_at: float = 0.0
     moved: bool = False
     released: bool = False
     asked: _Request | None = None
     asking: shared_worker.Asking | None = None
-    """The request, while it is with the worker"""
+    """The request that is with the worker; None while there is none"""
     answer: tuple[Pins, BonePoses] | None = None
-    """The newest answer, and the pins that it was fitted to"""
+    """The newest answer of the worker, after the pins that it was fitted to; None before the first"""
     drawn: bool = True
     """True if the view was asked to show the newest place"""
 
@@ -137,10 +136,10 @@ class KeypointMode(view.Overlay):
         self.message = ""
         self.undone = 0
         self.done = 0
-        """drags of this mode that can be undone, and those that can be done again"""
+        """How many drags of this mode can be undone, and how many can be done again"""
         self.own_undo = False
         self.ended: str | None = None
-        """Why the mode is over, in a sentence"""
+        """Why the mode is over, in a sentence; None while it goes on"""
         self._warming: shared_worker.Asking | None = shared_worker.ask("warm", "Edit Keypoints")
         next(self._warming)
         self._solved_in = _ANSWER_WAIT_SECONDS
@@ -159,7 +158,7 @@ class KeypointMode(view.Overlay):
     # Beginning and end
 
     def end(self, context: bpy.types.Context) -> None:
-        """Leave nothing behind. May be called twice."""
+        """Take the drawing away and put the viewport back as it was. May be called twice."""
         if not self.remove():
             return
         self.cancel_drag(context)
@@ -170,7 +169,7 @@ class KeypointMode(view.Overlay):
         self.view.leave(context)
 
     def trouble(self, context: bpy.types.Context) -> str | None:
-        """Why the mode cannot go on, in a sentence."""
+        """Return why the mode cannot go on, in a sentence; None where it can."""
         if self.ended is not None:
             return self.ended
         if jobs.busy():
@@ -200,7 +199,7 @@ class KeypointMode(view.Overlay):
             self._follow_view(context)
 
     def _look(self) -> None:
-        """Take up the view that is looked through."""
+        """Take up the view, 0 or 1, that the viewport looks through."""
         self.looking = self.view.looking
         see_through.end()
         camera, hand = bpy.data.objects[self.view.camera], self.refiner.armature
@@ -287,12 +286,13 @@ class KeypointMode(view.Overlay):
     # Places of the handles
 
     def row(self) -> int | None:
-        """The take's row that the scene shows."""
+        """Return the row, an index, of the take's frame that the scene shows; None where it shows none."""
         scene = bpy.context.scene
         return None if scene is None else self.refiner.row_at(scene.frame_current_final)
 
     def shown_row(self, of_view: int) -> int | None:
-        """The row of the picture that a view shows, among its own frames; None where it has none."""
+        """Return the row, among a view's own frames, of the picture that the view shows; None where it has
+        none."""
         return self.refiner.row_of_view(bpy.context.scene.frame_current_final) if of_view else self.row()
 
     def pins(self, of_view: int = 0) -> Pins:
@@ -302,7 +302,8 @@ class KeypointMode(view.Overlay):
         return self.drag.pins if self.drag is not None else self.refiner.pins(row)
 
     def _detected(self, row: int, of_view: int) -> np.ndarray | None:
-        """(21, 2) pixels, what was detected in the picture that a view shows; None where nothing was."""
+        """Return (21, 2) pixels: the points that were detected in the picture that a view shows; None where
+        none were."""
         track, seen, shown = self.refiner.track, None, self.shown_row(of_view)
         if not of_view:
             return np.array(track.keypoints_2d[row], dtype=np.float64) if track.detected[row] else None
@@ -311,9 +312,11 @@ class KeypointMode(view.Overlay):
         return np.array(seen.keypoints_2d[shown], dtype=np.float64) if seen is not None and there else None
 
     def picture_places(self, of_view: int | None = None) -> np.ndarray:
-        """(21, 2) pixels of a view's picture (None: of the one that is looked at): pins, else the fitted
-        hand's points where the frame was re-fitted, else what was detected, else the points of the animated
-        hand."""
+        """Return where the points lie, (21, 2) pixels of a view's picture (None: of the one that is looked
+        at).
+
+        They are pins, else the fitted hand's points where the frame was re-fitted, else the detected ones,
+        else those of the animated hand."""
         row, of_view = self.row(), self.looking if of_view is None else of_view
         shown = self.shown_row(of_view)
         if row is None or shown is None:
@@ -337,21 +340,24 @@ class KeypointMode(view.Overlay):
         return self._detected(row, of_view) is not None
 
     def matrix(self, viewport: view.Viewport) -> np.ndarray | None:
-        """Picture to region; None while the viewport does not look through the capture camera."""
+        """Return the (3, 3) matrix from pixels of the picture to pixels of the viewport's region; None while
+        the viewport does not look through the capture camera."""
         cameras, looking = self.refiner.cameras, self.view.looks(viewport)
         if looking is None or looking >= len(cameras):
             return None
         return view.picture_matrix(viewport, cameras[looking], self.refiner.clip(looking).intrinsics)
 
     def region_places(self, viewport: view.Viewport) -> np.ndarray:
-        """(21, 2) pixels of the region; NaN where there is no handle."""
+        """Return where the handles of the points are, (21, 2) pixels of the region; NaN where there is
+        none."""
         matrix = self.matrix(viewport)
         if matrix is None:
             return np.full((NUM_KEYPOINTS, 2), np.nan)
         return mapped(matrix, self.picture_places(self.view.looks(viewport)))
 
     def handle_at(self, viewport: view.Viewport, x: int, y: int) -> int | None:
-        """The handle nearest to a place in window pixels, within reach; none in the second view."""
+        """Return the index of the handle nearest to a place in window pixels, within reach; None in the
+        second view."""
         if self.looking:
             return None
         places, scale = self.region_places(viewport), screen.ui_scale()
@@ -365,7 +371,7 @@ class KeypointMode(view.Overlay):
     # Dragging
 
     def press(self, context: bpy.types.Context, viewport: view.Viewport, x: int, y: int) -> bool:
-        """Take the handle there, if there is one."""
+        """Begin to drag the handle at this place in window pixels; return whether there is one."""
         keypoint, row = self.handle_at(viewport, x, y), self.row()
         if keypoint is None or row is None or self.drag is not None:
             return False
@@ -378,7 +384,7 @@ class KeypointMode(view.Overlay):
         return True
 
     def move(self, viewport: view.Viewport, x: int, y: int) -> None:
-        """The mouse drags the handle there."""
+        """Drag the handle to this place of the mouse, in window pixels."""
         drag, matrix = self.drag, self.matrix(viewport)
         if drag is None or drag.mouse is None or matrix is None or drag.released:
             return
@@ -398,7 +404,8 @@ class KeypointMode(view.Overlay):
             self.drag = None
 
     def unpin(self, keypoint: int) -> bool:
-        """Let a pinned keypoint go: the hand follows the other pins only."""
+        """Take the pin of a keypoint away: the hand follows the other pins only. Returns False where
+        it has none, or another drag goes on."""
         row = self.row()
         if row is None or self.drag is not None or keypoint not in self.pins():
             return False
@@ -413,7 +420,7 @@ class KeypointMode(view.Overlay):
         return _Drag(keypoint, row, frame, refiner.pins(row), start, before)
 
     def cancel_drag(self, context: bpy.types.Context) -> None:
-        """Put the hand back to before the drag."""
+        """End a drag without keeping it: the bones get their poses from before it back."""
         drag, self.drag = self.drag, None
         if drag is None:
             return
@@ -427,7 +434,8 @@ class KeypointMode(view.Overlay):
         screen.redraw("VIEW_3D")
 
     def tick(self, context: bpy.types.Context) -> None:
-        """Look for answers, and ask for what has not been asked for."""
+        """Take in the worker's answers, and send the newest place of the mouse where no request has it
+        yet."""
         self._follow_view(context)
         self._follow_hand(context)
         try:
@@ -467,7 +475,7 @@ class KeypointMode(view.Overlay):
             self._redraw()
 
     def follow(self, context: bpy.types.Context) -> None:
-        """`tick`, and a moment's patience with the answer."""
+        """Do as `tick` does, and wait a moment for the worker's answer."""
         waited_before = self.drag is not None and self.drag.waiting
         self.tick(context)
         # A drawing of a crowded scene takes longer than the answer, which would then be late by one.
@@ -478,7 +486,8 @@ class KeypointMode(view.Overlay):
             self.tick(context)
 
     def _redraw(self) -> None:
-        """The picture and what is over it; not the headers and the sidebar beside it."""
+        """Have Blender draw the picture and what is over it again; not the headers and the sidebar beside
+        it."""
         for viewport in view.viewports(bpy.context):
             if self.view.shows(viewport):
                 viewport.region.tag_redraw()
@@ -553,7 +562,7 @@ class KeypointMode(view.Overlay):
             self._draw(viewport, self.looking, self.hovered, *self.status_line(viewport))
 
     def draw_beside(self, viewport: view.Viewport) -> None:
-        """Draw the points in another viewport that looks through one of the cameras."""
+        """Draw the points in another viewport that looks through one of the capture's cameras."""
         looking = self.view.looks(viewport)
         if looking is not None and self.trouble(bpy.context) is None:
             self._draw(viewport, looking, None, "", False)
@@ -567,7 +576,7 @@ class KeypointMode(view.Overlay):
         drawing.draw(drawing.Picture(places, pinned, hovered, dragged, text, warning, corner, hollow))
 
     def status_line(self, viewport: view.Viewport) -> tuple[str, bool]:
-        """The line over the picture about this frame, and whether it is a warning."""
+        """Return the line over the picture about this frame, and whether it is a warning."""
         row = self.row()
         if self.message:
             return capitalised(self.message), True

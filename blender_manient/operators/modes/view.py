@@ -16,21 +16,21 @@ from ...common.screen import camera_region, enlarged, frame_whole_picture, free_
 from ...scene import captures
 
 MAX_ZOOM: Final = 64.0
-"""pixels of the region for one of the picture"""
+"""The most pixels of the region for one of the picture"""
 _OF_REGION = (
     *("view_perspective", "view_camera_zoom", "view_camera_offset"),
     *("view_distance", "view_location", "view_rotation"),
 )
 _OF_SPACE = ("camera", "use_local_camera", "lock_camera")
 _STEP: Final = 1.25
-"""by which one notch of the wheel enlarges"""
+"""The factor by which one notch of the wheel enlarges"""
 _SWIPE: Final = 20.0
-"""pixels that fingers move on a trackpad for the same"""
+"""The pixels that fingers move on a trackpad to enlarge as one notch of the wheel does"""
 _GIZMO_MARGIN, _GIZMO_BUTTONS = 20.0, 170.0
 """pixels at a user interface scale of 1: around the axes in a viewport's upper right corner, and the height
 of the buttons below them"""
 _ZOOMS: Final = {"WHEELUPMOUSE": 1, "NUMPAD_PLUS": 1, "WHEELDOWNMOUSE": -1, "NUMPAD_MINUS": -1}
-"""By how many notches events enlarge"""
+"""By the type of an event, by how many notches it enlarges"""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Viewport:
 
     @property
     def view(self) -> bpy.types.RegionView3D:
-        """Blender's own data of the region's view."""
+        """Return Blender's own data of the region's view."""
         return self.space.region_3d
 
     def contains(self, x: int, y: int) -> bool:
@@ -56,7 +56,7 @@ class Viewport:
         return inside(self.region) and not any(inside(r) for r in self.area.regions if r.type != "WINDOW")
 
     def mouse(self, event: bpy.types.Event) -> np.ndarray:
-        """(2,) pixels of the region: where the mouse is."""
+        """Return (2,) pixels of the region: where the mouse is."""
         return np.array([event.mouse_x - self.region.x, event.mouse_y - self.region.y], dtype=float)
 
     def show_picture(self, camera: bpy.types.Object, scene: bpy.types.Scene) -> None:
@@ -87,13 +87,14 @@ class Viewport:
         return bool((place >= corner).all())
 
     def free(self) -> np.ndarray:
-        """(2, 2) lower left and upper right of what lies free of the sidebar and the headers, pixels of the
-        region."""
+        """Return (2, 2) pixels of the region: the lower left and upper right of what lies free of the sidebar
+        and the headers."""
         return np.reshape(free_box(self.area, self.region), (2, 2))
 
 
 def zoom_of(event: bpy.types.Event) -> float | None:
-    """By how much the wheel, a key or a trackpad enlarges the picture; None for another event."""
+    """Return the factor by which the wheel, a key or a trackpad enlarges the picture; None for another
+    event."""
     if event.ctrl or event.shift or event.alt or event.oskey:
         return None
     if event.type == "TRACKPADZOOM":
@@ -103,7 +104,7 @@ def zoom_of(event: bpy.types.Event) -> float | None:
 
 
 def first_viewport(context: bpy.types.Context) -> Viewport | None:
-    """The viewport that the mouse is in, else the largest of the window."""
+    """Return the viewport that the mouse is in, else the largest of the window; None where there is none."""
     areas = _areas(context)
     if context.area in areas:
         return _parts(context.area)
@@ -111,12 +112,12 @@ def first_viewport(context: bpy.types.Context) -> Viewport | None:
 
 
 def viewport_at(context: bpy.types.Context, address: int) -> Viewport | None:
-    """The viewport whose area lies at that address; None where it is gone or shows something else."""
+    """Return the viewport whose area lies at that address; None where it is gone or shows something else."""
     return next((_parts(area) for area in _areas(context) if area.as_pointer() == address), None)
 
 
 def viewports(context: bpy.types.Context) -> list[Viewport]:
-    """All viewports of the window."""
+    """Return all viewports of the window."""
     return [there for there in map(_parts, _areas(context)) if there is not None]
 
 
@@ -133,7 +134,8 @@ def _parts(area: bpy.types.Area) -> Viewport | None:
 
 
 def free_corner(viewport: Viewport) -> tuple[float, float]:
-    """Where a line can begin, pixels of the region: right of the toolbar, below Blender's own lines."""
+    """Return where a line of text can begin, x and y in pixels of the region: right of the toolbar, below
+    Blender's own lines."""
     (left, _), (_, top) = viewport.free()
     return left + 12.0 * ui_scale(), top - 64.0 * ui_scale()
 
@@ -147,7 +149,7 @@ class Overlay:
         viewport.area.tag_redraw()
 
     def remove(self) -> bool:
-        """Draw no more; whether it did until now."""
+        """Draw no more; return whether it did until now."""
         handler, self._handler = self._handler, None
         if handler is None:
             return False
@@ -156,7 +158,7 @@ class Overlay:
         return True
 
     def viewport(self) -> Viewport | None:
-        """The viewport; None where it is gone."""
+        """Return the viewport; None where it is gone."""
         return viewport_at(bpy.context, self.address)
 
     def draw(self, viewport: Viewport) -> None:
@@ -209,7 +211,7 @@ class CaptureView:
 
     @property
     def looking(self) -> int:
-        """Which of the cameras is looked through, or was last."""
+        """Return the index of the camera that is looked through, or was last."""
         return self._cameras.index(self.camera)
 
     def face(self, viewport: Viewport) -> None:
@@ -224,7 +226,8 @@ class CaptureView:
         viewport.view.view_perspective = "CAMERA"
 
     def looks(self, viewport: Viewport) -> int | None:
-        """Which of the cameras a viewport looks through now; None where it is another one, or none."""
+        """Return the index of the camera that a viewport looks through now; None where it is another one, or
+        none."""
         scene, space = bpy.context.scene, viewport.space
         camera = space.camera if space.use_local_camera or scene is None else scene.camera
         through = viewport.view.view_perspective == "CAMERA"
@@ -236,7 +239,8 @@ class CaptureView:
         return self.looks(viewport) is not None
 
     def follow(self, viewport: Viewport) -> bool:
-        """Take notice of the camera that the viewport looks through now; whether that is another one."""
+        """Take notice of the camera that the viewport looks through now; return whether that is another
+        one."""
         before, looking = self.camera, self.looks(viewport)
         self.camera = before if looking is None else self._cameras[looking]
         return self.camera != before
@@ -267,7 +271,8 @@ class FrontView:
     back to how it was."""
 
     _DISTANCE, _AWAY = 0.9, 0.45
-    """metres: of the view, and of the hand from the camera"""
+    """Metres: how far the view stands from the point that it looks at, and that point from the camera of the
+    hands"""
 
     def __init__(self, viewport: Viewport, scene: bpy.types.Scene) -> None:
         self._address, view = viewport.area.as_pointer(), viewport.view
@@ -286,7 +291,7 @@ class FrontView:
 
 
 def picture_matrix(viewport: Viewport, camera: bpy.types.Object, intrinsics: Intrinsics) -> np.ndarray:
-    """The (3, 3) map from pixels of the picture to pixels of the viewport's region."""
+    """Return the (3, 3) map from pixels of the picture to pixels of the viewport's region."""
     size = viewport.region.width, viewport.region.height
     perspective = np.array(viewport.view.perspective_matrix)
     return picture_to_region(intrinsics, np.array(camera.matrix_world), perspective, size)
@@ -298,7 +303,7 @@ class PictureView:
 
     def __init__(self, size: tuple[int, int]) -> None:
         self.size = np.array(size, dtype=np.float64)
-        """(2,) pixels of the picture"""
+        """(2,) pixels: the width and height of the picture"""
         self.show_all()
 
     def show_all(self) -> None:
@@ -306,12 +311,12 @@ class PictureView:
         self._zoom, self._centre = 1.0, self.size / 2.0
 
     def scale(self, free: Sequence[float]) -> float:
-        """Pixels of the region for one of the picture."""
+        """Return how many pixels of the region one of the picture takes."""
         room = np.maximum([free[2] - free[0], free[3] - free[1]], 1.0)
         return float((room / self.size).min()) * self._zoom
 
     def matrix(self, free: Sequence[float]) -> np.ndarray:
-        """(3, 3) from pixels of the picture to those of the region, whose y grows upwards."""
+        """Return the (3, 3) map from pixels of the picture to those of the region, whose y grows upwards."""
         scale, middle = self.scale(free), np.array([free[0] + free[2], free[1] + free[3]]) / 2.0
         x, y = middle - self._centre * [scale, -scale]
         return np.array([[scale, 0.0, x], [0.0, -scale, y], [0.0, 0.0, 1.0]])
@@ -324,9 +329,9 @@ class PictureView:
         self._look_at(place + (self._centre - place) * before / self._zoom)
 
     def move(self, by: np.ndarray, free: Sequence[float]) -> None:
-        """Push the picture by (2,) pixels of the region."""
+        """Move the picture by (2,) pixels of the region."""
         self._look_at(self._centre - by * [1.0, -1.0] / self.scale(free))
 
     def _look_at(self, centre: np.ndarray) -> None:
-        """Have the middle of the view there, as far as it is in the picture."""
+        """Move the middle of the view to this place of the picture, as far as it is in the picture."""
         self._centre = np.clip(centre, 0.0, self.size)
