@@ -104,8 +104,8 @@ class ManoLayout:
 
     @cached_property
     def wanted(self) -> dict[str, str]:
-        """For each name in a file, the value that it has, with the names that count after the others; the
-        name itself for an array with columns of several values."""
+        """For each name in a file, the value that it has; of several names of a value, the one that counts
+        comes last. An array with columns of several values has its own name here."""
         told = {name: what for what, names in self.names.items() for name in reversed(names)}
         return told | {key: key for key in self.columns}
 

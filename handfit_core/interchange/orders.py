@@ -184,8 +184,8 @@ def _off_in_space(points: np.ndarray) -> np.ndarray:
 
 
 def _bent(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return directions (N, 3) of bones that are turned towards those of the bones before them, until they
-    are no farther from these than joints bend."""
+    """Return directions (N, 3) of bones; one that is bent farther from the bone `before` it than joints bend
+    is turned back to that bound."""
     along = (before * after).sum(axis=-1, keepdims=True)
     across = after - along * before
     across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)

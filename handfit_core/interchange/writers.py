@@ -25,11 +25,11 @@ class Writer:
     endings: tuple[str, ...]
     """Endings of the format's file names, the usual one first, as in (".smplx.npz",)"""
     write: Callable[[Take, Path], None]
-    """Writes a take into a file that does not exist or is replaced, and is moved to its place afterwards.
-    Raises OutputError, and OptionError for a take that the format cannot hold"""
+    """Writes a take into a file that need not exist yet, and is moved to its place afterwards. Raises
+    OutputError, and OptionError for a take that the format cannot hold"""
     write_wrist: Callable[[Take, Path], None] | None = None
     """Writes the file with how hands turn to their forearms, as far as that can be said; None for a format
-    that cannot tell it"""
+    without this choice"""
 
 
 _HERE: Final = "handfit_core.interchange.formats"
