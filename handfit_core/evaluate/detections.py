@@ -124,8 +124,8 @@ class _UnitMedia(Media):
         return range(len(self._entries))[first:][:count]
 
     def frames(self, first: int = 0, count: int | None = None, step: int = 1) -> Iterator[Frame]:
-        """Yield every `step`-th frame from `first` on, out of `count` pictures; None for a picture that
-        cannot be read."""
+        """Yield every `step`-th frame of `count` pictures from `first` on; one that cannot be read has None
+        as its picture."""
         for row in self.numbers(first, count)[::step]:
             rgb, size = _read(self._entries[row])
             if row == len(self.sizes):  # some are read once more

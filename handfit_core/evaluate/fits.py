@@ -51,8 +51,8 @@ _model = cache(load_model)
 
 
 def _key(task: Task, model: str | None) -> object:
-    """Return what a task's result depends on, but for the code. Models count by their content, their relaxed
-    pose, which a prior uses, and their name, which decides about joint limits."""
+    """Return a hash of everything but the code that decides a task's result. Models count by their content,
+    their relaxed pose, which a prior uses, and their name, which decides about joint limits."""
     name, (track, intrinsics) = task
     hand: HandModel = _model(model, track.side)
     arrays = {key: array.tobytes() for key, array in arrays_of(track.detections).items()}

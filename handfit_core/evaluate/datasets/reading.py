@@ -145,7 +145,8 @@ def mesh_of(path: Path, index: int, axes: np.ndarray | float = 1.0) -> MeshLabel
 
 @lru_cache(maxsize=1)
 def _mesh_places(path: Path) -> list[tuple[int, int] | None]:
-    """Return the first and last byte of each mesh in the file, up to where it is cut off; None for a null."""
+    """Return the positions of the first byte of each mesh in the file and of the one behind its last, up to
+    where the file is cut off; None for a null."""
     places: list[tuple[int, int] | None] = []
     if not path.stat().st_size:
         return places
