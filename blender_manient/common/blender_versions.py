@@ -136,8 +136,8 @@ def has_operator(name: str) -> bool:
 
 
 def with_textures() -> dict[str, Any]:
-    """Return the option that has the USD exporter write textures, whose name is another before Blender 4.3
-    than after 5.0."""
+    """Return the options that have the USD exporter write textures: `export_textures` is gone in Blender 5.0,
+    `export_textures_mode` new in 4.3."""
     told = {"export_textures": True, "export_textures_mode": "NEW", "overwrite_textures": True}
     known = bpy.ops.wm.usd_export.get_rna_type().properties.keys() if has_operator("wm.usd_export") else ()
     return {name: value for name, value in told.items() if name in known}

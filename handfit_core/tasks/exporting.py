@@ -43,8 +43,8 @@ class Exports:
     """True if what the Blenders say on stderr is shown"""
 
     def entry(self, task: Task, output: Path, *, again: bool = False) -> Result:
-        """Return the report's entry of a task: pending while formats are missing, or with `again` until all
-        are made anew."""
+        """Return the report's entry of a task, which is pending while formats are missing; with `again` all
+        of them count as missing."""
         result = result_of(task, Record.read(task.record(output)), task.folder(output))
         if result.status == "ok":
             exported = Exported(task, output, self.key)
