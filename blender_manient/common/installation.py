@@ -56,7 +56,8 @@ def versions() -> str:
 
 
 def without_home(text: str) -> str:
-    """Return the text of a bug report without the user's name in the paths of his folder."""
+    """Return the text of a bug report with ~ for the user's own folder, so that it does not tell the user's
+    name."""
     home = str(Path.home())
     return text.replace(home, "~") if len(home) > 1 else text
 

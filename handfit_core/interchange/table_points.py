@@ -70,7 +70,8 @@ class HandTable:
         return self.table.numbers([name])[:, 0] if name else np.full(self._count, np.nan)
 
     def _axes(self, *endings: str) -> list[str]:
-        """Return the columns of x, y and z where each row is a point, by the endings around these letters."""
+        """Return the columns of x, y and z where each row is a point; `endings`: the forms that a column's
+        name may have, with {} for the letter."""
         return [name for axis in "xyz" if (name := self._column(e.format(axis) for e in endings))]
 
     @property
