@@ -1,4 +1,5 @@
-"""The options of a batch: those of the core, and what is made of the takes."""
+"""The options of a batch on the command line: those of the core, and those for the files that are made of the
+takes."""
 
 from __future__ import annotations
 
@@ -46,7 +47,8 @@ def add_commands(
     *,
     default_python: str = "this one",
 ) -> None:
-    """Add the commands of a batch; only those of these `names` with their options, which need Blender."""
+    """Add the commands of a batch to a parser; only the commands in `names` get their options, which need
+    Blender."""
     for name, said in COMMANDS.items():
         parser = commands.add_parser(name, help=said, description=f"{said[0].upper()}{said[1:]}.")
         parser.set_defaults(command=name, debug=False)

@@ -38,10 +38,10 @@ from ..scene.timing import Timing, in_scene, set_timing, timing_in
 from ..scene.transfer_options import Into, TransferOptions, Wrist, add_argument
 
 _HANDS: dict[Side, str] = {"left": "left", "right": "right"}
-"""Which captured hand each of the character's gets where nobody says"""
+"""For each of the character's hands, the captured hand that it gets where nobody says"""
 _ENDINGS = (".blend", *readable())
 _OPTIONS = ("bones", "wrist", "reference", "into", "time_offset", "no_contacts", "outside")
-"""What is said of a character beside its hands"""
+"""The arguments about a character beside its hands"""
 
 
 def add_character_arguments(parser: argparse.ArgumentParser, *, required: bool = False) -> None:
@@ -83,20 +83,21 @@ class Character:
 
     path: Path
     armature: str
-    """Its name; empty for the file's only one"""
+    """The name of the armature; empty for the file's only one"""
     hands: Mapping[Side, str]
-    """By its own hands, which captured one they get: left, right, or a number from 1"""
+    """For each of the character's own hands, the captured one that it gets: left, right, or a number from
+    1"""
     rig: SavedRig
-    """The bones that a file names; of no hand where none is given"""
+    """The bones that a rig file names; of no hand where no file is given"""
     onto: TransferOptions
     reference: float | None
     finds_offset: bool = False
-    """Whether the offset in time is found, instead of that in `onto`"""
+    """True if the offset in time is found, instead of taking that in `onto`"""
 
     @classmethod
     def of_arguments(cls, args: argparse.Namespace) -> Character | None:
-        """From parsed arguments, None where they name no character. Takes what is said of its hands out of
-        `args.hands`, which is a capture's afterwards. Raises OptionError."""
+        """Make a character of parsed arguments, None where they name none. Takes what is said of its hands
+        out of `args.hands`, which is a capture's afterwards. Raises OptionError."""
         parts = (args.hands or "").split(",")
         said = {side: to for side, is_said, to in (part.partition("=") for part in parts) if is_said}
         args.hands = ",".join(part for part in parts if "=" not in part) or None
@@ -136,9 +137,9 @@ class Character:
         return cls(path, armature, hands, rig, onto, args.reference, offset == "auto")
 
     def check(self) -> str | None:
-        """The file of the user's saved rig that fits and is used, where none was given: what it says decides
-        the results. Raises HandfitError where none of the wanted hands could get motion, whatever is
-        captured."""
+        """Return the file of the user's saved rig that fits and is used, where none was given: what it says
+        decides the results; None without one. Raises HandfitError where none of the wanted hands could get
+        motion, whatever is captured."""
         armature, gone = self.open()
         problems = []
         for side in self.hands:
@@ -154,7 +155,7 @@ class Character:
 
     @property
     def imported(self) -> bool:
-        """Whether its file is another program's."""
+        """True if the character's file is another program's."""
         return self.path.suffix.lower() in readable()
 
     def open(self) -> tuple[bpy.types.Object, list[str]]:
@@ -175,7 +176,8 @@ class Character:
         return armature, gone
 
     def _open_blend(self) -> list[str]:
-        """Returns sentences about linked files that are not there. Raises InputError."""
+        """Open the character's .blend file; returns sentences about linked files that are not there. Raises
+        InputError."""
         name = shown(self.path)
         try:
             bpy.ops.wm.open_mainfile(filepath=str(self.path.absolute()), load_ui=True, use_scripts=False)
@@ -265,7 +267,8 @@ class Character:
         return replace(objects, hand_maps=maps, imported=self.imported), entry, [*alone, *warnings]
 
     def _armature(self, gone: list[str]) -> bpy.types.Object:
-        """The one that was named, or the only one, or the only one that deforms or carries a mesh."""
+        """Return the armature that was named, or the only one, or the only one that deforms or carries a
+        mesh."""
         there = characters_in(bpy.context.scene)
         found = [one for one in there if one.name == self.armature or not self.armature]
         if (only := only_character(found)) is not None:
@@ -282,14 +285,14 @@ class Character:
         raise OptionError("; ".join([f"{shown(self.path)}: {problem}", *gone]))
 
     def _bones_of(self, armature: bpy.types.Object, side: Side) -> HandMap:
-        """Raises HandModelError."""
+        """Return the bones of the armature's hand of that side. Raises HandModelError."""
         hand_map = self.rig.of(side) or sure_map_of(armature, side)
         hand_map.check(armature.data.bones)
         return hand_map
 
 
 def _track(take: Take, wanted: str) -> HandTrack:
-    """The hand of a take that is meant by left, right or a number. Raises OptionError."""
+    """Return the hand of a take that is meant by left, right or a number. Raises OptionError."""
     if wanted.isdecimal():
         found = list(take.hands[int(wanted) - 1 : int(wanted)])
     else:
@@ -308,7 +311,7 @@ def _track(take: Take, wanted: str) -> HandTrack:
 
 
 def file_and_armature(text: str) -> tuple[Path, str]:
-    """FILE[:ARMATURE] in two; both may have colons in them. Raises OptionError."""
+    """Split FILE[:ARMATURE] in two; both may have colons in them. Raises OptionError."""
     for at in (len(text), *(i for i, letter in enumerate(text) if letter == ":")):
         if is_file(text[:at]):
             return Path(text[:at]), text[at + 1 :]

@@ -6,7 +6,7 @@ COMMANDS = {
     "apply": "put the motion of takes, or of photos and videos, onto a character",
     EXPORT: "make files of takes, for the commands above",
 }
-"""What help says of each"""
+"""The names of the commands, with what the help says of each"""
 
 EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
-"""docs/batch.md lists them"""
+"""The exit codes of a batch, which docs/batch.md lists"""

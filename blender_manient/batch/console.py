@@ -1,4 +1,4 @@
-"""The process's side of a run without a window: its streams and signals."""
+"""The streams and signals of a process that runs without a window."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import NoReturn
 
 
 def show_all_names() -> None:
-    """A file name must not end a run on a console that cannot show it."""
+    """Have a console that cannot show a file name escape its letters, so that no name ends a run."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -57,7 +57,7 @@ def blender_silenced(debug: bool) -> Iterator[None]:
 
 
 def print_error(text: str, debug: bool = False) -> None:
-    """One line on stderr; with `debug` the traceback of the exception being handled too."""
+    """Print one line on stderr; with `debug` the traceback of the exception being handled too."""
     print(f"error: {' '.join(text.split())}", file=sys.stderr)
     if debug:
         traceback.print_exc()

@@ -44,23 +44,24 @@ _MAKING = (
     "no_picture",
     "no_correctives",
 )
-"""Arguments that decide what files hold, beside those of the capture"""
+"""The names of arguments that decide what files hold, beside those of the capture"""
 _GIVEN = (*_MAKING, "format", "preview", "apply_to", "bones", "model", "max_megapixels")
 
 
 @dataclass(frozen=True)
 class Exports:
-    """What is made of every take."""
+    """The files that are made of every take of a batch."""
 
     formats: tuple[str, ...]
     given: Mapping[str, Any]
     """The arguments of the command line that it was made of, as JSON can hold them"""
     character: Character | None
-    """What gets the motion; None: the captured hands themselves are written"""
+    """The character that gets the motion; None: the captured hands themselves are written"""
 
     @classmethod
     def of_arguments(cls, args: argparse.Namespace) -> Exports:
-        """From parsed arguments, out of whose `hands` those of a character are taken. Raises OptionError."""
+        """Make the exports of parsed arguments, out of whose `hands` those of a character are taken. Raises
+        OptionError."""
         given = {name: getattr(args, name) for name in _GIVEN}
         character = Character.of_arguments(args)
         asked = (args.format or "blend,glb").split(",")
@@ -74,7 +75,7 @@ class Exports:
 
     @property
     def key(self) -> str:
-        """Changes with what decides the files of a take, beside the options of the capture."""
+        """A text that changes with what decides the files of a take, beside the options of the capture."""
         options: list[Any] = [self.given[name] for name in _MAKING]
         files = [Path(self.given["bones"])] if self.given["bones"] else []
         if self.character is not None:
@@ -124,7 +125,7 @@ def _make(
     *,
     keep_addons: bool,
 ) -> None:
-    """Write a take in some formats, each of which is noted in the answer. Raises HandfitError."""
+    """Write a take in some formats, and note each of them in the answer. Raises HandfitError."""
     given, at = exports.given, Path(folder)
     take = Take.load(at / f"{name}{TAKE_SUFFIX}")
     made, warnings = answer["made"], answer["warnings"]

@@ -27,18 +27,18 @@ from .exports import Exports, export, start_empty
 
 @dataclass(frozen=True)
 class Host:
-    """The command line that is running: what differs between the script and the installed add-on."""
+    """The command line that is running: the differences between the script and the installed add-on."""
 
     command: tuple[str, ...]
-    """What starts another one like it, but for the name of the command"""
+    """The command that starts another such command line, without the name of the command"""
     python: str | None = None
-    """Captures where --python names none; None: as `find_python` chooses"""
+    """The Python that captures where --python names none; None: as `find_python` chooses"""
     threads: int | None = None
-    """How many a capture may use; None: its own choice"""
+    """How many threads a capture may use; None: its own choice"""
     python_is_chosen: str = f"with --python or in ${interpreter.PYTHON_VARIABLE}"
     """Part of a sentence: where the user names the Python that captures"""
     keep_addons: bool = False
-    """Whether add-ons and preferences stay as they are; else the run is under Blender's factory settings"""
+    """True if add-ons and preferences stay as they are; else the run is under Blender's factory settings"""
 
 
 def run(args: argparse.Namespace, host: Host) -> int:
@@ -81,8 +81,8 @@ def _run(args: argparse.Namespace, host: Host) -> int:
 
 
 def _do(args: argparse.Namespace, host: Host, exports: Exports, python: str) -> int:
-    """Have the core make takes, and Blenders files of them. Returns its exit code. Raises OptionError where
-    it cannot be started."""
+    """Have the core make takes, and Blenders files of them. Returns the core's exit code. Raises OptionError
+    where it cannot be started."""
     is_own = interpreter.is_current_interpreter(python)
     declared = [*options_of(CaptureOptions).values(), *options_of(BatchOptions).values()]
     given = {option.flag: getattr(args, option.dest) for option in declared}

@@ -1,4 +1,4 @@
-"""What differs between the versions of Blender from 4.2 on: only here.
+"""The differences between the versions of Blender from 4.2 on, which stand only here.
 
 Every function asks for the thing itself rather than for Blender's version, so that builds with other
 parts and versions to come are met too.
@@ -17,43 +17,43 @@ import bpy
 
 
 def turns_movies() -> bool:
-    """True if Blender turns a movie as its display matrix says, as it does from 4.4 on."""
+    """Return whether Blender turns a movie as its display matrix says, as it does from 4.4 on."""
     return bpy.app.version >= (4, 4)
 
 
 def action_slot(user: Any) -> Any:
-    """The slot that animation data or an NLA strip uses; None for none, and before Blender 4.4."""
+    """Return the slot that animation data or an NLA strip uses; None for none, and before Blender 4.4."""
     return getattr(user, "action_slot", None)
 
 
 def slot_key(slot: Any) -> str:
-    """What tells a slot from others of its action in notes on it; 0 before Blender 4.4."""
+    """Return what tells a slot from others of its action in notes on it; 0 before Blender 4.4."""
     return str(slot.handle) if slot is not None else "0"
 
 
 def first_slot(action: bpy.types.Action) -> Any:
-    """The first slot of an action that has one; None before Blender 4.4."""
+    """Return the first slot of an action that has one; None before Blender 4.4."""
     return action.slots[0] if _has_slots(action) else None
 
 
 def slots_of(action: bpy.types.Action) -> list[Any]:
-    """The slots of an action, each for one object; a None in their place before Blender 4.4."""
+    """Return the slots of an action, each for one object; a list of one None before Blender 4.4."""
     return list(action.slots) if _has_slots(action) else [None]
 
 
 def has_one_slot(action: bpy.types.Action) -> bool:
-    """True if the action holds curves for one object at most."""
+    """Return whether the action holds curves for one object at most."""
     return len(slots_of(action)) < 2
 
 
 def new_slot(action: bpy.types.Action, name: str) -> Any:
-    """A new slot for an object; None before Blender 4.4."""
+    """Make a new slot for an object; None before Blender 4.4."""
     return action.slots.new(id_type="OBJECT", name=name) if _has_slots(action) else None
 
 
 def channels(action: bpy.types.Action, slot: Any = None, *, make: bool = False) -> Any:
-    """What holds the curves of an action: the action itself up to Blender 4.3, the slot's channel bag from
-    4.4 on. None where the slot has none, unless `make`."""
+    """Return what holds the curves of an action: the action itself up to Blender 4.3, the slot's channel bag
+    from 4.4 on. None where the slot has none, unless `make`."""
     if not _has_slots(action):
         return action
     for layer in action.layers:
@@ -82,8 +82,8 @@ def assign_action(owner: bpy.types.Object, action: bpy.types.Action) -> Any:
 
 
 def users_of(owner: bpy.types.Object, *, acting: bool = False) -> list[Any]:
-    """What uses an action for an object: its animation data, then its strips from the top, for `acting`
-    without those that are muted."""
+    """Return what uses an action for an object: its animation data, then its strips from the top, for
+    `acting` without those that are muted."""
     data = owner.animation_data
     tracks = data.nla_tracks if data is not None else ()
     strips = [s for track in tracks for s in track.strips if not (acting and (track.mute or s.mute))]
@@ -91,8 +91,8 @@ def users_of(owner: bpy.types.Object, *, acting: bool = False) -> list[Any]:
 
 
 def used_actions(owner: bpy.types.Object, *, acting: bool = False) -> list[tuple[Any, Any]]:
-    """Every (action, slot) of an object that can be changed: the present one and those in its NLA; or, for
-    `acting`, every one that moves it now: linked ones too, and none that is muted."""
+    """Return every (action, slot) of an object that can be changed: the present one and those in its NLA; or,
+    for `acting`, every one that moves it now: linked ones too, and none that is muted."""
     used = [(user.action, action_slot(user)) for user in users_of(owner, acting=acting)]
     return list({(a, slot_key(slot)): (a, slot) for a, slot in used if acting or a.is_editable}.values())
 
@@ -108,7 +108,8 @@ def use_nodes(block: bpy.types.Material | bpy.types.World) -> Any:
 
 
 def has_strips(scene: bpy.types.Scene) -> bool:
-    """Whether the sequencer of a scene holds anything; up to Blender 4.3 its strips are called sequences."""
+    """Return whether the sequencer of a scene holds anything; up to Blender 4.3 its strips are called
+    sequences."""
     editor: Any = scene.sequence_editor
     return editor is not None and len(editor.strips if hasattr(editor, "strips") else editor.sequences) > 0
 
@@ -125,7 +126,7 @@ def select_bones(armature: bpy.types.Object) -> None:
 
 
 def has_operator(name: str) -> bool:
-    """Whether this Blender has the operator `module.name`; some builds lack USD and Alembic."""
+    """Return whether this Blender has the operator `module.name`; some builds lack USD and Alembic."""
     module, _, operator = name.partition(".")
     try:
         getattr(getattr(bpy.ops, module), operator).get_rna_type()
@@ -135,15 +136,16 @@ def has_operator(name: str) -> bool:
 
 
 def with_textures() -> dict[str, Any]:
-    """What has the USD exporter write textures; the first is gone in Blender 5.0, the second new in 4.3."""
+    """Return the options that have the USD exporter write textures: `export_textures` is gone in Blender 5.0,
+    `export_textures_mode` new in 4.3."""
     told = {"export_textures": True, "export_textures_mode": "NEW", "overwrite_textures": True}
     known = bpy.ops.wm.usd_export.get_rna_type().properties.keys() if has_operator("wm.usd_export") else ()
     return {name: value for name, value in told.items() if name in known}
 
 
 def usd_stage(path: str) -> Any:
-    """An open USD file, a pxr.Usd.Stage; None where this Blender has no module for it, as the bpy wheel of
-    4.2."""
+    """Return an open USD file, a pxr.Usd.Stage; None where this Blender has no module for it, as the bpy
+    wheel of 4.2."""
     getattr(bpy.utils, "expose_bundled_modules", lambda: None)()
     with contextlib.suppress(ImportError):
         return importlib.import_module("pxr.Usd").Stage.Open(path)
@@ -151,8 +153,8 @@ def usd_stage(path: str) -> Any:
 
 
 def gltf_left_out() -> list[str]:
-    """The glTF exporter's own list of custom properties that it leaves out: changing it changes what is
-    written. An empty one where this Blender's exporter has none."""
+    """Return the glTF exporter's own list of custom properties that it leaves out: changing it changes what
+    is written. An empty one where this Blender's exporter has none."""
     for module in ("extras", "gltf2_blender_extras"):  # the second up to Blender 4.2
         with contextlib.suppress(ImportError):
             return importlib.import_module(f"io_scene_gltf2.blender.com.{module}").BLACK_LIST
@@ -160,7 +162,8 @@ def gltf_left_out() -> list[str]:
 
 
 def property_group(block: bpy.types.ID, name: str) -> dict[str, Any]:
-    """A copy of a data-block's custom property that is a group; empty where it is missing or no group."""
+    """Return a copy of a data-block's custom property that is a group; empty where it is missing or no
+    group."""
     value = block.get(name)
     return value.to_dict() if hasattr(value, "to_dict") else {}
 

@@ -12,18 +12,18 @@ class BlockReference:
     """Names one data-block of this session by its session_uid: an undo breaks Python's own references."""
 
     collection: str
-    """the collection of bpy.data: objects, scenes, ..."""
+    """The name of the collection of bpy.data that the block is in: objects, scenes, ..."""
     uid: int
     name: str
-    """the block's name when the reference was made; for messages"""
+    """The block's name when the reference was made, for messages"""
 
     @classmethod
     def of(cls, collection: str, block: bpy.types.ID) -> BlockReference:
-        """A reference to a block of bpy.data.COLLECTION."""
+        """Make a reference to a block of bpy.data.COLLECTION."""
         return cls(collection, block.session_uid, block.name)
 
     def find(self):
-        """The block, under whatever name; None where it was deleted."""
+        """Return the block, whatever its name is now; None where it was deleted."""
         blocks = getattr(bpy.data, self.collection)
         named = blocks.get(self.name)
         if named is not None and named.session_uid == self.uid:

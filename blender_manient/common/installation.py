@@ -1,4 +1,4 @@
-"""What is installed, and the one sentence where it is not whole.
+"""The state of the installation, and the one sentence that tells where it is not whole.
 
 handfit_core and NumPy may be what is missing, so neither is imported here.
 """
@@ -16,26 +16,27 @@ NOT_WHOLE = "The add-on is not whole: remove it and install the zip again"
 ADDON_FOLDER = Path(__file__).resolve().parents[1]
 
 why_not = ""
-"""Why only the panel that says so is registered, a sentence; empty where the add-on runs"""
+"""The sentence that tells why only the panel that shows it is registered; empty where the add-on runs"""
 details = ""
-"""More of that, for a bug report"""
+"""More about why the add-on does not run, for a bug report"""
 
 
 def is_installed() -> bool:
-    """True if this copy came from a zip, whose wheels Blender has unpacked; False for a checkout."""
+    """Return whether this copy came from a zip, whose wheels Blender has unpacked; False for a checkout."""
     return __name__.startswith("bl_ext.")
 
 
 def addon_version() -> str:
-    """The version in the manifest, which lies above the add-on's folder in a checkout. Raises what reading it
-    raises."""
+    """Return the version in the manifest, which lies above the add-on's folder in a checkout. Raises what
+    reading it raises."""
     folder = ADDON_FOLDER if is_installed() else ADDON_FOLDER.parent
     manifest = tomllib.loads((folder / "blender_manifest.toml").read_text(encoding="utf-8"))
     return str(manifest["version"])
 
 
 def versions() -> str:
-    """Versions of the add-on, the core, Blender, Python, NumPy and the operating system; a few lines."""
+    """Return the versions of the add-on, the core, Blender, Python, NumPy and the operating system; a few
+    lines."""
     core, numpy = (_loaded_version(name) for name in ("handfit_core", "numpy"))
     build = bpy.app.build_hash
     commit = build.decode("ascii", "replace") if isinstance(build, bytes) else str(build)
@@ -55,7 +56,8 @@ def versions() -> str:
 
 
 def without_home(text: str) -> str:
-    """The text of a bug report, which need not tell the user's name."""
+    """Return the text of a bug report with ~ for the user's own folder, so that it does not tell the user's
+    name."""
     home = str(Path.home())
     return text.replace(home, "~") if len(home) > 1 else text
 

@@ -17,27 +17,27 @@ import bpy
 from handfit_core.common.files import shown
 
 KINDS = ("exporters", "rigs")
-"""The folders, called as the packages that they belong to"""
+"""The folders of plug-ins, each with the name of the package that its plug-ins belong to"""
 
 _printed: dict[str, None] = {}
 """Sentences that were printed already, in order"""
 
 
 def folder() -> Path:
-    """The user's folder of plug-ins, which need not be there."""
+    """Return the user's folder of plug-ins, which need not be there."""
     return Path(bpy.utils.user_resource("DATAFILES", path="manient"))
 
 
 def troubles() -> list[str]:
-    """What was wrong with plug-ins since the add-on was enabled, a sentence each."""
+    """Return a sentence for each thing that was wrong with plug-ins since the add-on was enabled."""
     return list(_printed)
 
 
 def find_plugins(
     package: str, kind: type, needed: tuple[str, ...] = (), first: tuple[str, ...] = ()
 ) -> list[Any]:
-    """The concrete classes of that kind that a package's modules, and those in the user's folder of its name,
-    define: those of the modules `first`, in this order, then the others by their modules' names.
+    """Return the concrete classes of that kind that a package's modules, and those in the user's folder of
+    its name, define: those of the modules `first`, in this order, then the others by their modules' names.
 
     A module that cannot be imported, and a class that lacks what is `needed`, are named in the console and
     left out: one bad file takes none of the others away.
@@ -71,7 +71,7 @@ def find_plugins(
 
 
 def failure_sentence(plugin: type, error: BaseException) -> str:
-    """A sentence about an error in a plug-in's own code."""
+    """Return a sentence about an error in a plug-in's own code."""
     file = shown(plugin.__module__.rpartition(".")[2])
     said = f"{type(error).__name__}: {' '.join(str(error).split())}"
     return f"the plug-in {file}.py failed in {plugin.__name__} ({said}): mend or remove that file"

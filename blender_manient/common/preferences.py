@@ -45,11 +45,12 @@ PRESETS = (
 )
 
 listeners: dict[str, Callable[[Any], None]] = {}
-"""Name of a notifier -> the function that it calls with the group that has changed; modules' LISTENERS"""
+"""For each notifier's name, the function that it calls with the property group that has changed; modules'
+LISTENERS"""
 
 
 def notifier(name: str) -> Callable[[Any, bpy.types.Context], None]:
-    """A property's `update` function: calls the listener of that name."""
+    """Make a property's `update` function, which calls the listener of that name."""
     return lambda group, _context: listeners[name](group) if name in listeners else None
 
 
@@ -57,7 +58,7 @@ def notifier(name: str) -> Callable[[Any, bpy.types.Context], None]:
 
 
 class Values:
-    """What the user keeps for all files; panels/preferences.py shows it."""
+    """The settings that the user keeps for all files; panels/preferences.py shows them."""
 
     mano_folder: StringProperty(  # type: ignore
         name="MANO Files",
@@ -116,14 +117,14 @@ class Values:
 
 
 def get(context: bpy.types.Context | None = None) -> Any:
-    """The preferences; where the add-on was registered by a script instead of enabled, an object with the
-    same fields and their defaults, which lasts until the add-on is unregistered."""
+    """Return the preferences; where the add-on was registered by a script instead of enabled, an object with
+    the same fields and their defaults, which lasts until the add-on is unregistered."""
     addon = (context or bpy.context).preferences.addons.get(ADDON)
     return getattr(addon, "preferences", None) or _without_entry
 
 
 def full_path(text: str) -> str:
-    """A path as typed into the preferences, made absolute; empty stays empty."""
+    """Return a path as typed into the preferences, made absolute; empty stays empty."""
     text = unquoted(text)
     return str(Path(os.path.expanduser(bpy.path.abspath(text)))) if text else ""  # noqa: PTH111
 

@@ -1,4 +1,5 @@
-"""What is on the screen: redrawing it, and a camera view with the whole picture beside what lies over it.
+"""Everything about Blender's screen: redrawing it, and a camera view with the whole picture beside what lies
+over it.
 
 Blender's own *Frame Camera Bounds* needs the viewport's context and takes the region's whole size, of which
 the sidebar and the headers cover a part.
@@ -18,27 +19,27 @@ from gpu_extras.batch import batch_for_shader
 from .section import CAPTURE, EDIT
 
 _MARGIN = 6
-"""pixels at scale 1 between the picture and what is around it"""
+"""Pixels between the picture and what is around it, at a user interface scale of 1"""
 _LEAST = 80
-"""pixels at scale 1. Where less is left free, the picture may lie below what covers it"""
+"""Pixels at a user interface scale of 1; where less is left free, the picture may lie below what covers it"""
 _LEAST_HAND = 40
-"""pixels at scale 1 of a hand that one sees"""
+"""The least size in pixels at which a hand is seen well, at a user interface scale of 1"""
 _LOWEST_ZOOM, _HIGHEST_ZOOM = -30.0, 600.0
-"""of RegionView3D.view_camera_zoom"""
+"""The bounds of RegionView3D.view_camera_zoom"""
 _OVER_THE_VIEW = {"HEADER", "TOOL_HEADER", "TOOLS", "UI", "ASSET_SHELF", "ASSET_SHELF_HEADER"}
 
 Box = tuple[float, float, float, float]
-"""left, bottom, right, top in pixels"""
+"""The left, bottom, right and top of a rectangle in pixels of a region"""
 
 
 def ui_scale() -> float:
-    """How large Blender draws its interface."""
+    """Return the factor by which Blender enlarges its interface."""
     preferences = bpy.context.preferences
     return preferences.system.ui_scale if preferences is not None else 1.0
 
 
 def areas(*kinds: str) -> Iterator[bpy.types.Area]:
-    """The editors of these kinds in all windows."""
+    """Yield the editors of these kinds in all windows."""
     manager = bpy.context.window_manager
     for window in manager.windows if manager else ():
         yield from (area for area in window.screen.areas if area.type in kinds)
@@ -81,7 +82,8 @@ def draw_shape(kind: str, points: np.ndarray, colors: np.ndarray, line_width: fl
 
 
 def texture_of(path: str) -> gpu.types.GPUTexture:
-    """A picture file as a texture, for `draw_texture`. Raises RuntimeError where Blender cannot read it."""
+    """Load a picture file as a texture, for `draw_texture`. Raises RuntimeError where Blender cannot read
+    it."""
     image = bpy.data.images.load(path)
     try:
         return gpu.texture.from_image(image)
@@ -105,7 +107,7 @@ def draw_texture(texture: gpu.types.GPUTexture, box: Box) -> None:
 
 
 def _main_view(context: bpy.types.Context) -> bpy.types.Area | None:
-    """The active area where that is a 3D viewport, else the largest one."""
+    """Return the active area where that is a 3D viewport, else the largest one."""
     views = list(areas("VIEW_3D"))
     largest = max(views, key=lambda a: a.width * a.height, default=None)
     return context.area if context.area in views else largest
@@ -166,7 +168,7 @@ def frame_whole_picture(area: bpy.types.Area, camera: bpy.types.Object, scene: b
 
 
 def camera_region(area: bpy.types.Area) -> bpy.types.Region | None:
-    """The region of a 3D viewport that `space.region_3d` belongs to: in a quad view the last one."""
+    """Return the region of a 3D viewport that `space.region_3d` belongs to: in a quad view the last one."""
     windows = [region for region in area.regions if region.type == "WINDOW"]
     return windows[-1] if windows and area.spaces.active.region_quadviews else next(iter(windows), None)
 
@@ -174,8 +176,8 @@ def camera_region(area: bpy.types.Area) -> bpy.types.Region | None:
 def zoom_and_offset(
     region: tuple[float, float], free: Box, frame: tuple[float, float], sensor_fit: str
 ) -> tuple[float, tuple[float, float]]:
-    """`view_camera_zoom` and `view_camera_offset` with which a camera's frame fills the box `free` of a
-    region.
+    """Return `view_camera_zoom` and `view_camera_offset` with which a camera's frame fills the box `free` of
+    a region.
 
     `region`: width and height in pixels; `frame`: those of the rendered picture, in square pixels;
     `sensor_fit`: the camera's. Blender's zoom has limits: a frame that is very much higher than the region is
@@ -201,8 +203,9 @@ def enlarged(
     source: np.ndarray,
     target: np.ndarray,
 ) -> tuple[float, tuple[float, float]]:
-    """`view_camera_zoom` and `view_camera_offset` of a camera view that is enlarged by `factor`, as far as
-    Blender's limits allow, and in which `target` lies what lay `source`: (2,) pixels of the region each."""
+    """Return `view_camera_zoom` and `view_camera_offset` of a camera view that is enlarged by `factor`, as
+    far as Blender's limits allow, and in which `target` lies what lay at `source`: (2,) pixels of the region
+    each."""
     before = _enlargement(zoom)
     zoom = _zoom_of(before * factor)
     grown = _enlargement(zoom) / before
@@ -220,15 +223,16 @@ def _zoom_of(enlargement: float) -> float:
 
 
 def _offset(zoom: float, region: tuple[float, float], middle: tuple[float, float]) -> tuple[float, float]:
-    """The offset with which the frame's middle lies there: in twice the region's size, growing with the
-    zoom."""
+    """Return the `view_camera_offset` with which the frame's middle lies at `middle`: in twice the region's
+    size, growing with the zoom."""
     factor = _enlargement(zoom)
     x, y = ((size / 2.0 - at) / (2.0 * factor * size) for size, at in zip(region, middle, strict=True))
     return x, y
 
 
 def free_box(area: bpy.types.Area, region: bpy.types.Region) -> Box:
-    """What the sidebar, the toolbar and the headers leave of a region, in its own pixels, less a margin."""
+    """Return the box that the sidebar, the toolbar and the headers leave of a region, in its own pixels, less
+    a margin."""
     scale = ui_scale()
     whole = (0.0, 0.0, float(region.width), float(region.height))
     free = whole
@@ -243,7 +247,7 @@ def free_box(area: bpy.types.Area, region: bpy.types.Region) -> Box:
 
 
 def _largest_side(free: Box, cover: Box) -> Box:
-    """The largest part of `free` on one side of `cover`; all of it where they do not meet."""
+    """Return the largest part of `free` on one side of `cover`; all of it where they do not meet."""
     left, bottom, right, top = free
     if cover[0] >= right or cover[2] <= left or cover[1] >= top or cover[3] <= bottom:
         return free

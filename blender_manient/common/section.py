@@ -1,4 +1,4 @@
-"""What all sections share."""
+"""The base classes of the sidebar's sections, and the layouts that all of them share."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ CAPTURE, EDIT = "Hand Capture", "Hand Edit"
 """The tabs of the sidebar"""
 
 _LABEL_MARGIN = 100
-"""Pixels at scale 1 of a dialog or region that are no label: margins, those of a box too, and the icon"""
+"""Pixels of a dialog or region that no label takes, at a user interface scale of 1: margins, those of a box
+too, and the icon"""
 
 
 class Section:
@@ -32,17 +33,17 @@ class EditSection(Section):
 
     bl_category = EDIT
     works_on: Callable[[bpy.types.Context], Any]
-    """Finds what it works on; None where there is nothing"""
+    """Finds what the section works on; None where there is nothing"""
 
     @classmethod
     def poll(cls, context):
-        """True if there is something that it works on."""
+        """Return whether there is something that the section works on."""
         return cls.works_on(context) is not None
 
 
 def note(layout: bpy.types.UILayout, text: str, icon: str = "NONE", short: str = "") -> None:
-    """A message in one line, whatever its length: `short`, else as much of it as there is room for. All of it
-    is the tooltip. With the icon ERROR it is red."""
+    """Draw a message in one line, whatever its length: `short`, else as much of it as there is room for. All
+    of it is the tooltip. With the icon ERROR it is red."""
     row = layout.row(align=True)
     row.alert, row.emboss, row.alignment = icon == "ERROR", "NONE", "LEFT"
     row.operator("manient.note", text=short or headline(text), icon=icon, translate=False).text = text
@@ -55,8 +56,8 @@ def sentence(
     icon: str = "NONE",
     width: int | None = None,
 ) -> None:
-    """A text of any length in a dialog of `width` pixels at scale 1, or wrapped to the region's width. With
-    the icon ERROR it is red."""
+    """Draw a text of any length in a dialog of `width` pixels at scale 1, or wrapped to the region's width.
+    With the icon ERROR it is red."""
     column = layout.column(align=True)
     column.alert = icon == "ERROR"
     column.scale_y = 0.8
@@ -65,27 +66,27 @@ def sentence(
 
 
 def row_of(layout: Any, enabled: bool = True, scale: float = 1.0) -> Any:
-    """A row of buttons side by side, grey where it is not `enabled`, `scale` times as high as usual."""
+    """Make a row of buttons side by side, grey where it is not `enabled`, `scale` times as high as usual."""
     row = layout.row(align=True)
     row.enabled, row.scale_y = enabled, scale
     return row
 
 
 def props(layout: bpy.types.UILayout, data: Any, *names: str) -> None:
-    """Properties one below the other."""
+    """Draw properties one below the other."""
     for name in names:
         layout.prop(data, name)
 
 
 def split(layout: bpy.types.UILayout) -> bpy.types.UILayout:
-    """A layout in which properties have their names on the left, and no dots for keys."""
+    """Make a layout in which properties have their names on the left, and no dots for keys."""
     layout.use_property_split = True
     layout.use_property_decorate = False
     return layout
 
 
 def _room(context: bpy.types.Context, width: int | None) -> float:
-    """Pixels that a label beside an icon has; sets the font's size for measuring."""
+    """Return how many pixels a label beside an icon has; sets the font's size for measuring."""
     scale = context.preferences.system.ui_scale
     blf.size(0, context.preferences.ui_styles[0].widget.points * scale)
     if width is not None:
@@ -94,6 +95,6 @@ def _room(context: bpy.types.Context, width: int | None) -> float:
 
 
 def wrapped(text: str, room: float) -> list[str]:
-    """The text's lines that have room in so many pixels, in the font's present size."""
+    """Break a text into lines about as wide as so many pixels in the font's present size."""
     letter = blf.dimensions(0, "n")[0] or 1.0
     return textwrap.wrap(text, max(8, int(room / letter))) or [""]

@@ -7,18 +7,19 @@ import textwrap
 from collections.abc import Callable, Sequence
 
 NAME_BYTES = 63
-"""What Blender has room for in a data-block's name; it cuts off the rest"""
+"""The most bytes that Blender has room for in a data-block's name; it cuts off the rest"""
 
 LINE = 38
-"""Letters in a line of the sidebar, as wide as Blender makes it"""
+"""How many letters fit in a line of the sidebar, as wide as Blender makes it"""
 
 _GAP = "..."
 _NAME_OF_A_FILE = re.compile(r"[/\\]|\.\w{1,5}$")
-"""In what stands before a sentence's first colon"""
+"""What tells that the text before a sentence's first colon is the name of a file"""
 
 
 def capitalised(sentence: str) -> str:
-    """With a capital letter, except where it begins with the name of a file, which is written as it is."""
+    """Return a sentence with a capital letter, except where it begins with the name of a file, which is
+    written as it is."""
     head = sentence.partition(": ")[0] if ": " in sentence else sentence.partition(" ")[0]
     if _NAME_OF_A_FILE.search(head.rstrip(".,;")):
         return sentence
@@ -26,19 +27,19 @@ def capitalised(sentence: str) -> str:
 
 
 def headline(text: str, most: int = LINE) -> str:
-    """As much of a message as one line of the sidebar shows: its first sentence, cut behind a word."""
+    """Return as much of a message as one line of the sidebar shows: its first sentence, cut behind a word."""
     first = text.partition(". ")[0]
     cut = textwrap.shorten(first, most, placeholder=_GAP)
     return cut if cut != _GAP else shortened(first, lambda part: len(part) <= most)
 
 
 def counted(number: int, thing: str) -> str:
-    """One of a thing, or several: 1 frame, 2 frames."""
+    """Return a number with the name of a thing, one or several: 1 frame, 2 frames."""
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 def without_name(sentence: str, names: Sequence[str]) -> str:
-    """The sentence without one of `names` and a colon at its beginning, for where the name is shown
+    """Return the sentence without one of `names` and a colon at its beginning, for where the name is shown
     already."""
     for name in sorted(names, key=len, reverse=True):
         if name and sentence.startswith(f"{name}: "):
@@ -47,7 +48,7 @@ def without_name(sentence: str, names: Sequence[str]) -> str:
 
 
 def shortened(text: str, fits: Callable[[str], bool]) -> str:
-    """The text, or as much of its beginning and its end as fits: names differ at their ends."""
+    """Return the text, or as much of its beginning and its end as fits: names differ at their ends."""
     if fits(text):
         return text
     kept = 2
@@ -57,26 +58,28 @@ def shortened(text: str, fits: Callable[[str], bool]) -> str:
 
 
 def shortened_name(text: str, most: int) -> str:
-    """A name of at most `most` bytes in UTF-8, as Blender counts."""
+    """Return a name of at most `most` bytes in UTF-8, as Blender counts."""
     return shortened(text, lambda name: len(name.encode()) <= most)
 
 
 def named_after(stem: str, part: str) -> str:
-    """The name of one part of a capture, as "left hand of clip", with room for what is named after that, such
-    as its mesh, and for the number with which Blender tells equal names apart."""
+    """Return the name of one part of a capture, as "left hand of clip", with room for what is named after
+    that, such as its mesh, and for the number with which Blender tells equal names apart."""
     return f"{part} of {shortened_name(stem, NAME_BYTES - len('mesh of right hand 99 of .001'))}"
 
 
 def hand_part(side: str, others: int) -> str:
-    """A hand as a part of its capture, beside so many others of its side: "right hand 2"."""
+    """Return the name of a hand as a part of its capture, beside so many others of its side: "right hand
+    2"."""
     return f"{side} hand {others + 1}" if others else f"{side} hand"
 
 
 def with_note(name: str, note: str) -> str:
-    """A name and what tells this one from its like, with room for the number that `named_after` leaves."""
+    """Return a name with a note that tells this one from its like, with room for the number that
+    `named_after` leaves."""
     return f"{shortened_name(name, NAME_BYTES - len(f' {note}.001'.encode()))} {note}"
 
 
 def _with_gap(text: str, kept: int) -> str:
-    """The first and last letters, `kept` of them in all."""
+    """Return the first and last letters of a text with a gap between them, `kept` of them in all."""
     return text[: kept // 2] + _GAP + text[len(text) - (kept - kept // 2) :]

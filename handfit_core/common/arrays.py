@@ -29,10 +29,11 @@ from handfit_core.common.npz import NpzArchive
 from handfit_core.common.values import Unfit, shortly, whole
 
 LARGEST: Final = 1e9
-"""Metres, pixels, radians: what is beyond in either direction was not measured"""
+"""The largest magnitude that a measured number may have, in metres, pixels or radians; anything beyond it,
+positive or negative, was not measured"""
 
 _LARGEST_PACKED: Final = 1 << 28
-"""items along an axis of an array in a message; bytes of the longest request"""
+"""The most items along one axis of an array in a message, and the most bytes of a request"""
 _MOST_DIMENSIONS: Final = 8
 _DTYPES: Final = ("bool", "uint8", "int32", "int64", "float32", "float64")
 
@@ -48,23 +49,24 @@ _Object = TypeVar("_Object")
 
 @dataclass(frozen=True)
 class Array:
-    """What one of a dataclass's arrays must be."""
+    """The declaration of one array field of a dataclass: its shape, kind and bounds."""
 
     shape: tuple[int | str, ...]
-    """Letters name axes that have one size in all arrays of an object"""
+    """The size of each axis: a number, or a letter for an axis that has one size in all arrays of an
+    object"""
     kind: Literal["f", "b", "i"] = "f"
-    """Floats, bools or whole numbers"""
+    """The kind of the entries: floats ("f"), bools ("b") or whole numbers ("i")"""
     finite: str = ""
     """Where floats must be finite: everywhere ("all"), in the rows that the object's attribute of that name,
     (T,) bool, says, or nowhere (""). NaN stands elsewhere for what is not known; infinity is beyond `most`"""
     most: float = LARGEST
-    """of numbers, in either direction"""
+    """The largest magnitude that a number in the array may have, positive or negative"""
     most_rows: float = math.inf
-    """along the first axis"""
+    """How many rows the array may have along its first axis"""
     sent: type = np.float64
-    """of floats in messages"""
+    """The type in which floats are sent in messages"""
     optional: bool = False
-    """Whether it may be absent: None in an object"""
+    """True if the array may be absent, which is None in an object"""
 
     def check_form(self, name: str, array: np.ndarray, axes: dict[str, int]) -> None:
         """Raise Unfit, which names the array, unless it is of this shape and kind. `axes` has the known sizes
@@ -115,7 +117,7 @@ def array(
 
 @dataclass(frozen=True)
 class Value:
-    """What one of a dataclass's plain values must be."""
+    """The declaration of one plain-valued field of a dataclass."""
 
     kind: Callable[..., Any]
     """Reads a value of that name out of a message, or passes it: `kind(name, value)` raises Unfit. It takes
@@ -155,7 +157,8 @@ def _declared(cls: Any) -> dict[str, Array]:
 
 
 def arrays_of(of: Any, axis: str | None = None) -> dict[str, Any]:
-    """An object's arrays by their names, without absent ones; only those whose rows go along `axis`."""
+    """Return an object's arrays by their names, without absent ones; with `axis`, only the arrays whose first
+    axis has that letter."""
     found = {n: getattr(of, n) for n, spec in declared(of).items() if axis in (None, *spec.shape[:1])}
     return {name: value for name, value in found.items() if value is not None}
 
@@ -179,8 +182,8 @@ def check_arrays(of: Any, error: type[Exception] = Unfit, where: str = "", **axe
 
 
 def pack(array: np.ndarray) -> dict[str, Any]:
-    """An array of numbers -> what JSON can hold: {"dtype", "shape", "data"}, little-endian, in C order,
-    base64. NaN is fine here. Raises ProtocolError for other dtypes than those of numbers and bool."""
+    """Turn an array of numbers into what JSON can hold: {"dtype", "shape", "data"}, little-endian, in C
+    order, base64. NaN may be in it. Raises ProtocolError for other dtypes than those of numbers and bool."""
     array = np.asarray(array)
     if array.dtype.name not in _DTYPES:
         raise ProtocolError(f"arrays in messages are {', '.join(_DTYPES)}; not {array.dtype}")
@@ -193,7 +196,8 @@ def pack(array: np.ndarray) -> dict[str, Any]:
 
 
 def unpack(packed: object) -> np.ndarray:
-    """What `pack` made -> the array, writable and in the machine's byte order. Raises ProtocolError."""
+    """Turn what `pack` made back into the array, writable and in the machine's byte order. Raises
+    ProtocolError."""
     try:
         assert isinstance(packed, dict)
         name, shape = packed["dtype"], packed["shape"]
@@ -212,7 +216,7 @@ def unpack(packed: object) -> np.ndarray:
 
 
 def packed(of: Any) -> dict[str, Any]:
-    """An object's values and arrays as a message holds them; absent arrays are left out."""
+    """Return an object's values and arrays as a message holds them; absent arrays are left out."""
     values = {name: getattr(of, name) for name in declared_values(of)}
     # A value that is an object, as a camera is, is sent as the list of its fields.
     plain = {n: list(vars(v).values()) if is_dataclass(v) else v for n, v in values.items()}
@@ -251,7 +255,8 @@ def unpacked(cls: type, message: Mapping[str, Any], where: str = "") -> dict[str
 
 
 def object_of(cls: type[_Object]) -> Callable[[str, Any], _Object]:
-    """The kind of an object whose fields are plain values: it makes one of a JSON object."""
+    """Make the check that turns a JSON object into an object of the class, all of whose fields are plain
+    values."""
 
     def read(name: str, value: Any) -> _Object:
         if not isinstance(value, Mapping):
@@ -262,7 +267,7 @@ def object_of(cls: type[_Object]) -> Callable[[str, Any], _Object]:
 
 
 def kept_arrays(of: Any, prefix: str = "", floats: type = np.float64) -> dict[str, np.ndarray]:
-    """An object's arrays as an `.npz` holds them, named after `prefix`; absent ones are left out."""
+    """Return an object's arrays as an `.npz` holds them, named after `prefix`; absent ones are left out."""
     specs = declared(of)
     return {f"{prefix}{name}": np.asarray(a, specs[name].dtype(floats)) for name, a in arrays_of(of).items()}
 

@@ -8,7 +8,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 SLICE: Final = 512
-"""Rows of long batches that are computed at once, where rows are independent: bounds the memory"""
+"""How many rows of a long batch are computed at once where rows are independent, which bounds the memory"""
 
 Index = np.ndarray | slice
 """Rows of a batch: their numbers, booleans or a slice"""
@@ -24,7 +24,7 @@ class Batch:
         return len(next(value for value in values if isinstance(value, np.ndarray | Batch)))
 
     def _rows(self) -> list[tuple[str, Any]]:
-        """Name and value of the fields that have a row for each hand or frame."""
+        """Return name and value of the fields that have a row for each hand or frame."""
         values = ((name, getattr(self, name)) for name in self.__dataclass_fields__)
         return [(name, value) for name, value in values if isinstance(value, np.ndarray | Batch)]
 
@@ -34,7 +34,7 @@ class Batch:
         return type(self)(**fields | rows)
 
     def select(self, index: Index) -> Self:
-        """The rows at `index`."""
+        """Return the rows at `index` as a new batch."""
         return self._with(
             **{
                 name: value.select(index) if isinstance(value, Batch) else value[index]
@@ -43,7 +43,8 @@ class Batch:
         )
 
     def where(self, chosen: np.ndarray, other: Self) -> Self:
-        """These rows where `chosen` (B,) bool is true, else those of `other`, which has the same fields."""
+        """Return this batch's rows where `chosen`, (B,) bool, is true, else the rows of `other`, which has
+        the same fields."""
 
         def pick(mine: Any, theirs: Any) -> Any:
             if isinstance(mine, Batch):
@@ -53,7 +54,7 @@ class Batch:
         return self._with(**{name: pick(value, getattr(other, name)) for name, value in self._rows()})
 
     def replaced(self, index: np.ndarray, rows: Self) -> Self:
-        """A copy with the rows numbered by `index` replaced by `rows`."""
+        """Return a copy in which the rows numbered by `index` are replaced by `rows`."""
         whole = self._empty(len(self))
         whole.overwrite(slice(None), self)
         whole.overwrite(index, rows)
@@ -84,7 +85,7 @@ class Batch:
         return whole if first == count else whole.select(slice(first))
 
     def _empty(self, count: int) -> Self:
-        """A copy with `count` uninitialised rows."""
+        """Return a copy with `count` uninitialised rows."""
         return self._with(
             **{
                 name: value._empty(count)
@@ -96,7 +97,8 @@ class Batch:
 
     @classmethod
     def concatenate(cls, parts: Sequence[Self]) -> Self:
-        """The rows of all parts, one after the other; fields that belong to all rows are the first part's."""
+        """Join the rows of all parts, one after the other; fields that belong to all rows are the first
+        part's."""
 
         def join(name: str, first: Any) -> Any:
             rows = [getattr(part, name) for part in parts]
@@ -106,12 +108,14 @@ class Batch:
 
 
 def slices(count: int, most: int = SLICE) -> Iterator[slice]:
-    """Slices of `most` rows each that cover `count` rows; one empty slice where there are none."""
+    """Yield slices of at most `most` rows each that cover `count` rows; one empty slice where there are
+    none."""
     return (slice(first, first + most) for first in range(0, max(count, 1), most))
 
 
 def scatter(rows: Any, at: Any, count: int, nothing: Any = np.nan) -> np.ndarray:
-    """(count, ...) with `rows` at the indices `at`, and `nothing` elsewhere."""
+    """Return an array (count, ...) that has `rows` at the indices `at` along its first axis, and `nothing`
+    elsewhere."""
     whole = np.full((count, *np.shape(rows)[1:]), nothing)
     whole[at] = rows
     return whole

@@ -25,16 +25,16 @@ away where it is gone, or its disk was: nothing may be written where it was"""
 
 
 def part_of(process: int | str) -> str:
-    """How names of what a process of this machine has not finished begin."""
+    """Return how the names of files begin that a process of this machine has not finished."""
     return f"{PART}{platform.node()[:40]}-{process}-"
 
 
 _ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:[/\\]")
-"""How an address begins; a drive of Windows has one letter"""
+"""How an address such as https://... begins; a drive of Windows has one letter, so that C:/ is none"""
 
 
 def output_path(path: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]] = ()) -> Path:
-    """Where a result of that name goes: ~ is the user's folder.
+    """Return the full path of a result that the user names so: ~ is the user's folder.
 
     Raises OutputError for an address, for what is no file (a device would be gone), for one of the `inputs`,
     and for names that no file can have.
@@ -77,7 +77,7 @@ def check_writable(path: str | os.PathLike[str], inputs: Iterable[str | os.PathL
 
 @contextlib.contextmanager
 def opened_file(path: str | os.PathLike[str], most: int) -> Iterator[BinaryIO]:
-    """A file of at most `most` bytes, opened for reading.
+    """Open a file of at most `most` bytes for reading.
 
     Raises OSError, with a reason in words, also for larger ones and for what is no file: a pipe would be
     waited for, and a device has no end. Raises ValueError for names that no file can have.
@@ -92,7 +92,7 @@ def opened_file(path: str | os.PathLike[str], most: int) -> Iterator[BinaryIO]:
 
 
 def read_file(path: str | os.PathLike[str], most: int) -> bytes:
-    """The bytes of a file of at most `most` bytes. Raises what `opened_file` raises."""
+    """Return the bytes of a file of at most `most` bytes. Raises what `opened_file` raises."""
     with opened_file(path, most) as stream:
         return stream.read(os.fstat(stream.fileno()).st_size)  # no more of a file that grows
 
@@ -109,11 +109,12 @@ def _checked_size(found: os.stat_result, most: int) -> None:
 
 _SAMPLES = 16
 _SAMPLE = 1 << 16
-"""bytes that are read at each of so many places: to read all of a long video takes minutes"""
+"""Bytes that are read at each sampled place of a file, as it takes minutes to read all of a long video"""
 
 
 def samples(files: Sequence[Path], sizes: Sequence[int]) -> Iterator[bytes]:
-    """What some places hold of files of these sizes, one behind the other. Raises OSError."""
+    """Yield the bytes at some places of files of these sizes in bytes, which are taken as lying one behind
+    the other. Raises OSError."""
     ends = list(accumulate(sizes))
     for i in range(_SAMPLES if ends else 0):
         at = i * max(ends[-1] - _SAMPLE, 0) // (_SAMPLES - 1)
@@ -133,7 +134,8 @@ def _cannot_write(path: Path, error: OSError | ValueError) -> str:
 
 
 def shown(path: str | os.PathLike[str]) -> str:
-    """A path as messages show it: quoted where it could not be seen otherwise, and of bounded length."""
+    """Return a path as messages show it: quoted where it could not be seen otherwise, and of bounded
+    length."""
     text = os.fspath(path)
     text = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
     return text if text.isprintable() and text == text.strip() and text else repr(text)
@@ -143,17 +145,18 @@ _LONGEST_SHOWN = 300
 
 
 def printable(text: str) -> str:
-    """A text for a terminal, with what it would obey instead of showing it escaped."""
+    """Return a text that a terminal can show: control characters, which it would obey, are escaped."""
     return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
 
 
 def storable(text: str) -> str:
-    """A text with a question mark for what is no UTF-8, such as in the names of some files on Linux."""
+    """Return a text that UTF-8 can hold: a question mark stands for all else, such as in the names of some
+    files on Linux."""
     return text.encode("utf-8", "replace").decode("utf-8")
 
 
 def is_file(path: str | os.PathLike[str]) -> bool:
-    """Whether there is such a regular file; also False for names that no file can have."""
+    """Return whether the path is a regular file that exists; also False for names that no file can have."""
     try:
         return Path(path).is_file()
     except (OSError, ValueError):
@@ -161,7 +164,7 @@ def is_file(path: str | os.PathLike[str]) -> bool:
 
 
 def is_folder(path: str | os.PathLike[str]) -> bool:
-    """Whether there is such a folder; also False for names that no folder can have."""
+    """Return whether the path is a folder that exists; also False for names that no folder can have."""
     try:
         return Path(path).is_dir()
     except (OSError, ValueError):
@@ -169,7 +172,7 @@ def is_folder(path: str | os.PathLike[str]) -> bool:
 
 
 def why(error: OSError | ValueError) -> str:
-    """What the system says is wrong with a path."""
+    """Return the system's own words for what is wrong with a path."""
     if isinstance(error, OSError):
         return error.strerror or str(error)
     return "it holds a character that no name can" if isinstance(error, UnicodeError) else str(error)
@@ -266,7 +269,8 @@ def _take_room(stream: FileIO, size: int) -> None:
 
 
 def path_of(name: str | os.PathLike[str]) -> Path:
-    """Its path, with ~ as the user's folder; ~nobody, where there is no such user, is a name like others."""
+    """Return the path of that name, with ~ as the user's folder; ~nobody, where there is no such user, is a
+    name like others."""
     try:
         return Path(name).expanduser()
     except RuntimeError:
@@ -274,7 +278,8 @@ def path_of(name: str | os.PathLike[str]) -> Path:
 
 
 def cache_dir() -> Path:
-    """Where files are kept between runs: `$HANDFIT_CACHE`, or the platform's cache folder."""
+    """Return the folder of files that are kept between runs: `$HANDFIT_CACHE`, or the platform's cache
+    folder."""
     if override := os.environ.get("HANDFIT_CACHE"):
         return Path(override).expanduser()
     if sys.platform == "win32":
@@ -287,8 +292,8 @@ def cache_dir() -> Path:
 
 
 def data_dir() -> Path:
-    """Where what the user has made is kept for good: `$HANDFIT_DATA`, or the platform's folder of programs'
-    data."""
+    """Return the folder in which what the user has made is kept for good: `$HANDFIT_DATA`, or the platform's
+    folder of programs' data."""
     if override := os.environ.get("HANDFIT_DATA"):
         return Path(override).expanduser()
     if sys.platform == "win32":

@@ -20,19 +20,21 @@ _OF_JOB: Final = 1.0e9
 
 
 def usable_cores(root: Path = Path("/")) -> int:
-    """How many cores this process may keep busy, at least 1. `root`: where /proc and /sys are."""
+    """Return how many cores this process may keep busy, at least 1. `root`: the folder in which /proc and
+    /sys are."""
     free = getattr(os, "sched_getaffinity", None)
     cores = len(free(0)) if free else os.cpu_count() or 1
     return max(1, min([cores, *(math.ceil(quota) for quota in _quotas(root))]))
 
 
 def free_memory(root: Path = Path("/")) -> float | None:
-    """Bytes that this process and its children may still take; None where the system does not tell."""
+    """Return how many bytes of memory this process and its children may still take; None where the system
+    does not tell."""
     return min([*_free_of_machine(root), *_free_of_groups(root)], default=None)
 
 
 def usable_jobs() -> int:
-    """How many captures or exports may run at a time: one a core, as far as memory reaches."""
+    """Return how many captures or exports may run at a time: one a core, as far as memory reaches."""
     memory = free_memory()
     return max(1, usable_cores() if memory is None else min(usable_cores(), int(memory / _OF_JOB)))
 
@@ -61,7 +63,7 @@ def _free_of_windows() -> Iterator[float]:
 
 
 def _quotas(root: Path) -> Iterator[float]:
-    """Cores that control groups allow."""
+    """Yield the number of cores that each control group of this process allows."""
     for group, is_new in _groups(root, "cpu"):
         if is_new:
             quota, _, period = _text(group / "cpu.max").partition(" ")
@@ -72,7 +74,8 @@ def _quotas(root: Path) -> Iterator[float]:
 
 
 def _free_of_groups(root: Path) -> Iterator[float]:
-    """Bytes that control groups still allow; what only keeps files at hand is given back when needed."""
+    """Yield the bytes of memory that each control group still allows; memory that only caches files counts as
+    free, as it is given back when needed."""
     for group, is_new in _groups(root, "memory"):
         limit, used, cache = (
             ("memory.max", "memory.current", "inactive_file")
@@ -87,7 +90,7 @@ def _free_of_groups(root: Path) -> Iterator[float]:
 
 
 def _groups(root: Path, controller: str) -> Iterator[tuple[Path, bool]]:
-    """The folders of this process's groups up to the topmost, and whether they are of cgroup v2."""
+    """Yield the folders of this process's control groups up to the topmost, each with True for cgroup v2."""
     mounts = root / "sys" / "fs" / "cgroup"
     for line in _text(root / "proc" / "self" / "cgroup").splitlines():
         _, controllers, path = line.split(":", 2)
@@ -103,7 +106,7 @@ def _groups(root: Path, controller: str) -> Iterator[tuple[Path, bool]]:
 
 
 def _number(text: str) -> float | None:
-    """None for `max`, for -1 and where there is none."""
+    """Read the number in a cgroup's file; None where it says `max` or -1, or is empty."""
     text = text.strip()
     return float(text) if text.isdecimal() else None
 

@@ -19,24 +19,28 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 
 LONGEST_HEADER: Final = 1 << 26
-"""characters of a file's JSON header: it names each picture of a sequence, so 300 000 of long names"""
+"""The most characters of a file's JSON header, which names each picture of a sequence: 300 000 of them with
+long names fit"""
 _MOST_SYNTAX: Final = 1 << 22
-"""characters of them outside strings, each of which may become an object of a hundred bytes"""
+"""The most characters of a JSON header outside its strings, each of which may become an object of a hundred
+bytes"""
 _STRING: Final = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"?', re.DOTALL)
-"""A text; one without an end goes to the header's, or looking for it would begin anew at every quote"""
+"""A JSON string; one without an end reaches to the header's end, as looking for its end would begin anew at
+every quote"""
 _LONGEST_TABLE: Final = 1 << 21
-"""bytes of a zip's table of contents"""
+"""The most bytes of a zip's table of contents"""
 _LONGEST_DESCRIPTION: Final = 1024
-"""bytes with which a member describes its array; those of plain arrays have 128"""
+"""The most bytes with which a member describes its array; plain arrays take 128"""
 
 
 class NotNpz(Exception):
-    """Why a file is no `.npz` that can be trusted, to be put after its name."""
+    """A file is no `.npz` that can be trusted; the message says why, to be put after the file's name."""
 
 
 @contextlib.contextmanager
 def _or_not_npz(what: str) -> Iterator[None]:
-    """What is damaged can fail in any way."""
+    """Within, any exception but MemoryError becomes NotNpz with this text and its own, as a damaged file can
+    fail in any way."""
     try:
         yield
     except (NotNpz, MemoryError):
@@ -63,12 +67,13 @@ class NpzArchive:
 
     @property
     def names(self) -> list[str]:
-        """What its members are called, without .npy."""
+        """Return the names of the archive's members, without .npy."""
         return list(self._members)
 
     @contextlib.contextmanager
     def _member(self, name: str) -> Iterator[tuple[Any, int]]:
-        """A member's contents, and how many bytes the zip says that they are. Raises KeyError and NotNpz."""
+        """Open a member; yields its contents, and how many bytes the zip says that they are. Raises KeyError
+        and NotNpz."""
         info = self._members[name]
         if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others take what they like
             raise NotNpz(f"holds {name}, which is compressed in a way that NumPy never uses")
@@ -81,7 +86,7 @@ class NpzArchive:
             raise NotNpz(f"would take more memory than such a file ever needs, with its {name}")
 
     def array(self, name: str, kinds: str) -> np.ndarray:
-        """One member, writable and in native byte order; floats as float64.
+        """Return one member's array, writable and in native byte order; floats as float64.
 
         `kinds`: which of NumPy's kinds of numbers it may hold, as in "f" or "iu". Raises KeyError where there
         is no such member, and NotNpz.
@@ -91,20 +96,20 @@ class NpzArchive:
             return _array(stream)
 
     def pickle(self, name: str) -> bytes:
-        """The pickle that a member with Python's objects holds, for `safe_pickle`. Raises KeyError where
-        there is no such member, and NotNpz, also for a member of numbers."""
+        """Return the pickle that a member with Python's objects holds, for `safe_pickle`. Raises KeyError
+        where there is no such member, and NotNpz, also for a member of numbers."""
         with self._member(name) as (stream, size):
             self._pay(name, size)
             return _pickle(stream, name)
 
     def contents(self, name: str) -> bytes:
-        """The bytes of a member that is no array. Raises KeyError where there is none, and NotNpz."""
+        """Return the bytes of a member that is no array. Raises KeyError where there is none, and NotNpz."""
         with self._member(name) as (stream, size):
             self._pay(name, size)
             return stream.read()
 
     def header(self, name: str = "header") -> dict[str, Any]:
-        """The JSON object that a member holds as its only text. Raises KeyError and NotNpz."""
+        """Return the JSON object that a member holds as its only text. Raises KeyError and NotNpz."""
         with self._member(name) as (stream, size):
             if _checked(stream, size, name, "U") > 4 * LONGEST_HEADER:
                 raise NotNpz(f"has a {name} of more than {LONGEST_HEADER} characters")
@@ -125,7 +130,7 @@ class NpzArchive:
 
 
 def npy_array(data: bytes, kinds: str, most_bytes: int) -> np.ndarray:
-    """The array of a .npy file, as `NpzArchive.array` has one. Raises NotNpz."""
+    """Return the array of a .npy file, as `NpzArchive.array` returns a member's. Raises NotNpz."""
     stream = io.BytesIO(data)
     with _or_not_npz("is no .npy, or a damaged one"):
         if _checked(stream, len(data), "array", kinds) > most_bytes:
@@ -134,18 +139,18 @@ def npy_array(data: bytes, kinds: str, most_bytes: int) -> np.ndarray:
 
 
 def npy_pickle(data: bytes) -> bytes:
-    """The pickle that a .npy file with Python's objects holds, for `safe_pickle`. Raises NotNpz."""
+    """Return the pickle that a .npy file with Python's objects holds, for `safe_pickle`. Raises NotNpz."""
     with _or_not_npz("is no .npy, or a damaged one"):
         return _pickle(io.BytesIO(data), "array")
 
 
 def names_of(stream: BinaryIO) -> set[str]:
-    """What the members of an `.npz` are called, without .npy; nothing else of them is read. Raises NotNpz."""
+    """Return the names of an `.npz`'s members, without .npy; nothing else of them is read. Raises NotNpz."""
     return {name.removesuffix(".npy") for name in _opened(stream).namelist()}
 
 
 def _opened(stream: BinaryIO) -> zipfile.ZipFile:
-    """The zip, where its table of contents is short enough to be read at all."""
+    """Open a zip whose table of contents is short enough to be read at all."""
     with _or_not_npz("is no zip, or a damaged one"):
         length = stream.seek(0, io.SEEK_END)
         stream.seek(max(0, length - 98))
@@ -164,7 +169,8 @@ def _opened(stream: BinaryIO) -> zipfile.ZipFile:
 
 
 def _description(stream: BinaryIO) -> tuple[int, tuple[int, ...], np.dtype[Any]]:
-    """Where an array's contents begin, its shape and its type."""
+    """Read an array's description; returns the position at which its contents begin, its shape and its
+    type."""
     start = io.BytesIO(stream.read(_LONGEST_DESCRIPTION))  # whatever length it claims
     version = np.lib.format.read_magic(start)
     if version == (1, 0):
@@ -175,8 +181,8 @@ def _description(stream: BinaryIO) -> tuple[int, tuple[int, ...], np.dtype[Any]]
 
 
 def _checked(stream: BinaryIO, size: int, name: str, kinds: str) -> int:
-    """How many bytes an array will take that is described at the beginning of `size` bytes. Raises NotNpz
-    unless it is of the kinds that are wanted, and fills these bytes."""
+    """Return how many bytes an array will take in memory that is described at the beginning of `size` bytes.
+    Raises NotNpz unless it is of the wanted kinds of numbers and fills these bytes."""
     start, shape, dtype = _description(stream)
     if dtype.kind not in kinds:
         raise NotNpz(f"holds {dtype} as {name}, which is none of its kinds")
@@ -195,7 +201,7 @@ def _pickle(stream: BinaryIO, name: str) -> bytes:
 
 
 def _array(stream: BinaryIO) -> np.ndarray:
-    """The array of a stream that was checked."""
+    """Read the array of a stream that `_checked` has accepted."""
     stream.seek(0)
     found = np.lib.format.read_array(stream, allow_pickle=False)
     stream.read(1)  # at the end a zip's sum is compared

@@ -34,16 +34,17 @@ Part = TypeVar("Part")
 
 @dataclass(frozen=True)
 class _UserFile:
-    """A plug-in that is one Python file, as an entry point."""
+    """A plug-in that is one Python file of the user's; it has the methods of an entry point."""
 
     name: str
     module: str
-    """Its path"""
+    """The path of the plug-in's file"""
     kind: type
     dist = None
 
     def load(self) -> Any:
-        """The file's part, or what has one as its `reader`, whatever it is called in it."""
+        """Import the file and return its part, or what has a part as its `reader`, whatever its name in the
+        file; None where there is none."""
         spec = importlib.util.spec_from_file_location(f"handfit_user_{self.name}", self.module)
         assert spec is not None
         assert spec.loader is not None
@@ -74,7 +75,8 @@ class Registry(Generic[Part]):
         self._failed: dict[str, str] = {}
 
     def offered(self) -> list[str]:
-        """The names of all parts, for a list: nothing is loaded, and no warning tells what is wrong."""
+        """Return the names of all parts, for a list: nothing is loaded, and no warning tells what is
+        wrong."""
         try:
             return list(dict.fromkeys([*self._built_in, *(point.name for point in self._plug_ins())]))
         except Exception:  # a package's metadata can be damaged in any way
@@ -87,7 +89,8 @@ class Registry(Generic[Part]):
 
     @cached_property
     def _offered(self) -> dict[str, EntryPoint | _UserFile]:
-        """Every part's entry point: built-in ones first, then plug-ins by their names."""
+        """Return every part's entry point by the part's name: built-in ones first, then plug-ins by their
+        names."""
         offered: dict[str, EntryPoint | _UserFile] = {**self._built_in}
         try:
             plug_ins = self._plug_ins()
@@ -105,11 +108,12 @@ class Registry(Generic[Part]):
         return offered
 
     def names(self) -> tuple[str, ...]:
-        """The names of all parts but those that are known to fail, built-in ones first."""
+        """Return the names of all parts but those that are known to fail, built-in ones first."""
         return tuple(name for name in self._offered if name not in self._failed)
 
     def get(self, name: str) -> Part:
-        """The part of that name. Raises OptionError where there is none, or where it cannot be loaded."""
+        """Return the part of that name. Raises OptionError where there is none, or where it cannot be
+        loaded."""
         if name not in self._built_in and name not in self._offered:
             raise OptionError(
                 f"there is no {self._noun} {shortly(name)}; choose one of {', '.join(self.names())}"
@@ -139,16 +143,17 @@ class Registry(Generic[Part]):
             ) from error
 
     def built_in(self) -> dict[str, Part]:
-        """The parts of this package, by name; no plug-in is imported for them."""
+        """Return the parts of this package by name; no plug-in is imported for them."""
         return {name: self.get(name) for name in self._built_in}
 
     def all(self) -> dict[str, Part]:
-        """Every part that can be loaded, by name, built-in ones first."""
+        """Return every part that can be loaded by name, built-in ones first."""
         parts = {name: self._load(name) for name in self._offered}
         return {name: part for name, part in parts.items() if part is not None}
 
     def _load(self, name: str) -> Part | None:
-        """The part, loaded once; None for a plug-in that cannot be, which a warning has named."""
+        """Return the part of that name, loaded once; None for a plug-in that cannot be loaded, which a
+        warning has named."""
         if name in self._parts or name in self._failed:
             return self._parts.get(name)
         point = self._built_in.get(name) or self._offered[name]
@@ -169,7 +174,7 @@ class Registry(Generic[Part]):
 
 
 def _origin(point: EntryPoint | _UserFile) -> str:
-    """The package that offers a plug-in, or where no package says so its module."""
+    """Return the package that offers a plug-in, or its module where no package says so."""
     return f"the package {point.dist.name}" if point.dist is not None else point.module
 
 

@@ -30,8 +30,8 @@ _NAMES: Final = re.compile(
     r"|scipy\.sparse\._?cs[cr]\.cs[cr]_(matrix|array)|chumpy(\.\w+)*\.[A-Za-z]\w*",
     re.ASCII,
 )
-"""What arrays name in pickles of NumPy 1 and 2, Python 2 and 3, PyTorch and joblib, and what MANO's files
-name besides"""
+"""The names that arrays use in pickles of NumPy 1 and 2, Python 2 and 3, PyTorch and joblib, and those that
+MANO's files use besides"""
 _STORAGES: Final = {
     f"torch.{name}Storage": np.dtype(kind)
     for name, kind in zip(
@@ -42,29 +42,31 @@ _STORAGES: Final = {
 }
 """The numbers of PyTorch's storages; the upper half of a float32 for bfloat16"""
 _OLDER_TORCH: Final = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."
-"""What PyTorch's files begin with that are no zips, and a storage within a pickle"""
+"""The bytes with which PyTorch's files begin that are no zips, and a storage within a pickle"""
 
 MOST_STEPS: Final = 100_000
-"""Instructions of a pickle with a few arrays, such as MANO's, which has some hundred"""
+"""The most instructions of a pickle with a few arrays; MANO's has some hundred"""
 MOST_NUMBERED: Final = 10_000_000
-"""Keys that are whole numbers lie below it: so few share a place in a dictionary that none takes long"""
+"""The bound below which dictionary keys that are whole numbers must lie: so few share a place in a dictionary
+that no look-up takes long"""
 MOST_PARTS: Final = 3_000_000
-"""Values that `plain` gives, each as often as it is named"""
+"""The most values that `plain` gives, each counted as often as it is named"""
 _MOST_NESTED: Final = 100
 MOST_BYTES: Final = 1 << 28
-"""Bytes of all arrays that `plain` gives, with 8 bytes for each float"""
+"""The most bytes of all arrays that `plain` gives, with 8 bytes for each float"""
 MOST_DENSE: Final = 2_000_000
-"""Numbers of a sparse matrix that is made dense (MANO's have 16 x 778), or of a tensor that repeats some"""
+"""The most numbers of a sparse matrix that is made dense (MANO's have 16 x 778), or of a tensor that repeats
+some"""
 
 
 class Refused(Exception):
-    """What a pickle does that no such file needs, to be put after `the file`."""
+    """A pickle does what no file of arrays needs; the message is to be put after `the file`."""
 
 
 @dataclass(eq=False, slots=True)
 class Call:
-    """What a pickle wants to be made: the name of a class or function, its arguments, and the state that the
-    object shall have."""
+    """An object that a pickle asks for: the name of a class or function, its arguments, and the state that
+    the object shall have."""
 
     name: str
     args: tuple[Any, ...] = ()
@@ -75,7 +77,7 @@ class Call:
 
     @property
     def fields(self) -> dict[str, Any]:
-        """The attributes that the object would have."""
+        """Return the attributes that the object would have."""
         state = self.state[0] if isinstance(self.state, tuple) and self.state else self.state
         return state if isinstance(state, dict) else {}
 
@@ -135,7 +137,8 @@ def plain(value: Any) -> Any:
 
 
 class _Plain:
-    """Each array once, however often it is named, and only so many values."""
+    """The work of `plain` on one file: it makes each array once, however often it is named, and only so many
+    values."""
 
     def __init__(self) -> None:
         self._left, self._bytes = MOST_PARTS, MOST_BYTES
@@ -189,8 +192,8 @@ class _Plain:
         return objects[0] if shape == () and len(objects) == 1 else objects
 
     def _tensor(self, storage: Call, offset: int, shape: tuple[int, ...], strides: tuple[int, ...]) -> Any:
-        """The numbers of a tensor, which may lie anyhow in its storage. None for kinds of numbers that NumPy
-        lacks."""
+        """Return the numbers of a tensor, whose shape and strides may place them anywhere in its storage.
+        None for kinds of numbers that NumPy lacks."""
         kind = _STORAGES.get(storage.name)
         if kind is None:
             return None
@@ -211,21 +214,22 @@ class _Plain:
 
 
 def _shaped(array: np.ndarray, shape: Any, order: str) -> np.ndarray:
-    """A flat array in a shape that a file names. Raises ValueError where it does not fit."""
+    """Return a flat array in a shape that a file names. Raises ValueError where it does not fit."""
     if len(shape) > 4 or not all(0 <= n <= array.size for n in shape) or math.prod(shape) != array.size:
         raise ValueError("another number of numbers")
     return array.reshape(shape, order="F" if order == "F" else "C").astype(array.dtype.newbyteorder("="))
 
 
 def _indices(array: np.ndarray, size: int) -> np.ndarray:
-    """Indices that are there. Raises ValueError for others."""
+    """Return indices after checking that they lie within `size`. Raises ValueError for others."""
     if array.dtype.kind not in "iu" or np.any((array < 0) | (array >= size)):
         raise ValueError("indices that do not exist")
     return array.astype(np.int64)
 
 
 def _dense(parts: list[np.ndarray], shape: Any, by_columns: bool) -> np.ndarray:
-    """A sparse matrix of `data`, `indices` and `indptr`, as SciPy stores them. Raises ValueError."""
+    """Return the dense form of a sparse matrix of `data`, `indices` and `indptr`, as SciPy stores them.
+    Raises ValueError."""
     (data, minor, starts), (rows, columns) = parts, shape
     majors, minors = (columns, rows) if by_columns else (rows, columns)
     if not 0 < rows * columns <= MOST_DENSE or any(part.ndim != 1 for part in parts):
@@ -239,8 +243,8 @@ def _dense(parts: list[np.ndarray], shape: Any, by_columns: bool) -> np.ndarray:
 
 
 def _numbers(raw: Any, dtype: Any) -> np.ndarray:
-    """The numbers (N,) of bytes, which protocol 2 writes as a text to be encoded, and Python 2 as a text.
-    Raises ValueError where they are of another kind."""
+    """Return the numbers (N,) of bytes, which protocol 2 writes as a text to be encoded, and Python 2 as a
+    text. Raises ValueError where they are of another kind."""
     raw = _bytes(raw)
     known = re.fullmatch(r"[<>|=]?([iu][1248]|f[248]|b1)", dtype.args[0])
     if not known or not isinstance(raw, bytes | bytearray):
@@ -250,14 +254,15 @@ def _numbers(raw: Any, dtype: Any) -> np.ndarray:
 
 
 def _bytes(raw: Any) -> Any:
-    """Bytes that are written as a text, or as a text to be encoded; all else as it is."""
+    """Return the bytes of a text, or of a text that is to be encoded; all else is returned as it is."""
     if isinstance(raw, Call) and raw.name == "_codecs.encode" and raw.args[1:] == ("latin1",):
         raw = raw.args[0]
     return raw.encode("latin1") if isinstance(raw, str) else raw
 
 
 class _Keyed(dict[Any, Any]):
-    """A dictionary out of a pickle. Nested keys take forever to hash, and chosen numbers to find a place."""
+    """A dictionary out of a pickle that refuses costly keys: nested ones take forever to hash, and chosen
+    numbers to find a place."""
 
     __slots__ = ()
 
@@ -267,11 +272,11 @@ class _Keyed(dict[Any, Any]):
         super().__setitem__(key, value)
 
     def __setstate__(self, state: Any) -> None:
-        """Attributes, such as those of a network's weights, are left out."""
+        """Ignore attributes that a pickle gives the dictionary, such as those of a network's weights."""
 
 
 class _Counted(dict[int, Any]):
-    """The methods of a reader by their instructions, of which only so many are given out."""
+    """A table of an unpickler's methods by their instructions, which gives out only so many of them."""
 
     def __init__(self, methods: dict[int, Any], most: int) -> None:
         super().__init__(methods)
@@ -305,19 +310,19 @@ class _Reader(pickle._Unpickler):
         self._stream, self._room = stream, room
 
     def load(self) -> Any:
-        """The next pickle."""
+        """Read the next pickle and return its value."""
         self.memo: dict[int, Any] = {}
         return super().load()
 
     def find_class(self, module: Any, name: Any) -> Any:
-        """Remember an allowed name; Refused for all others."""
+        """Return a `Call` of an allowed name, which is only remembered. Raises Refused for all others."""
         asked = f"{module}.{name}"
         if len(asked) > 200 or not _NAMES.fullmatch(asked):
             raise Refused("asks to run " + re.sub(r"[^\x20-\x7e]", "?", asked)[:80])
         return Call(asked)
 
     def persistent_load(self, pid: Any) -> Call:
-        """One of PyTorch's storages."""
+        """Return one of PyTorch's storages by what identifies it in the pickle."""
         if not isinstance(pid, tuple) or pid[:1] != ("storage",) or type(pid[2]) is not str or any(pid[5:]):
             raise Refused("refers to parts that it does not have")
         return self.storages.setdefault(pid[2], Call(pid[1].name))
@@ -349,7 +354,8 @@ class _Reader(pickle._Unpickler):
     dispatch[pickle.REDUCE[0]] = dispatch[pickle.NEWOBJ[0]] = _load_call
 
     def _load_build(self) -> None:
-        """The numbers of joblib's arrays follow their descriptions, behind bytes that align them."""
+        """Read the numbers of joblib's arrays, which follow their descriptions behind bytes that align
+        them."""
         super().load_build()  # type: ignore[misc]
         made = self.stack[-1]
         if not isinstance(made, Call) or not made.name.startswith("joblib."):
@@ -380,7 +386,8 @@ class _Reader(pickle._Unpickler):
     dispatch[pickle.DICT[0]] = _load_dict
 
     def _load_bytearray8(self) -> None:
-        """Python's own allocates what the file names before it reads."""
+        """Read a bytearray without allocating beforehand what the file names as its size, as Python's own
+        method does."""
         self.append(self.read(int.from_bytes(self.read(8), "little")))
 
     dispatch[pickle.BYTEARRAY8[0]] = _load_bytearray8

@@ -55,7 +55,8 @@ FINGER_JOINTS: Final[dict[str, tuple[int, int, int]]] = {
 """The three joints of each finger, from the palm outwards."""
 
 JOINTS_BY_FINGER: Final = np.array([FINGER_JOINTS[f] for f in FINGERS])
-"""(5, 3) the same, finger by finger as keypoints go"""
+"""(5, 3) numbers of the three joints of each finger, from the palm outwards, the fingers in the order of
+FINGERS"""
 
 KEYPOINT_NAMES: Final = ("wrist", *(f"{f}_{i}" for f in FINGERS for i in (1, 2, 3, 4)))
 """MediaPipe's 21 keypoints; `*_4` is the fingertip."""
@@ -95,10 +96,11 @@ MANO_TIP_VERTICES: Final = (745, 317, 444, 556, 673)
 
 
 def keypoints_from_joints(joints: np.ndarray, tips: np.ndarray) -> np.ndarray:
-    """(..., 16, 3) joints and (..., 5, 3) fingertips -> (..., 21, 3) keypoints in MediaPipe's order."""
+    """Return (..., 21, 3) keypoints in MediaPipe's order, of (..., 16, 3) joints and (..., 5, 3)
+    fingertips."""
     return np.concatenate([joints, tips], axis=-2)[..., list(KEYPOINT_SOURCE), :]
 
 
 def other_side(side: Side) -> Side:
-    """The opposite hand."""
+    """Return the opposite hand: left for right, right for left."""
     return "left" if side == "right" else "right"

@@ -14,7 +14,7 @@ SLICE: Final = 0.008
 
 
 def slice_clock(seconds: float = SLICE) -> Callable[[], bool]:
-    """A clock that starts now; the call tells whether the slice is over."""
+    """Start a clock for a slice of so many seconds; the returned function tells whether the slice is over."""
     until = time.perf_counter() + seconds
     return lambda: time.perf_counter() > until
 

@@ -1,4 +1,4 @@
-"""Threads that compute the parts of one thing side by side."""
+"""Computing the parts of one thing side by side in threads."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Result = TypeVar("Result")
 
 
 def usable_threads() -> int:
-    """How many threads may compute at the same time: one a core, or fewer by OMP_NUM_THREADS."""
+    """Return how many threads may compute at the same time: one a core, or fewer by OMP_NUM_THREADS."""
     limit = os.environ.get("OMP_NUM_THREADS", "")
     cores = usable_cores()
     return max(1, min(cores, int(limit) if limit.isdecimal() else cores))

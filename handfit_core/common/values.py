@@ -1,4 +1,5 @@
-"""Values out of a file or from another process: each is of its kind and within its range, or is named.
+"""Checks of values out of a file or from another process: each must be of its kind and within its range, or
+is named.
 
 All raise `Unfit`, whose text is a sentence that its callers put behind the file's or the message's name.
 """
@@ -13,18 +14,19 @@ from typing import Any, Final, TypeVar
 T = TypeVar("T")
 
 LONGEST_PATH: Final = 32_767
-"""characters: the longest path that any system has (Windows'); Linux's are shorter"""
+"""The most characters of a path on any system (Windows'); Linux's are shorter"""
 
 LARGEST_WHOLE: Final = 2**62
-"""Whole numbers below it can be subtracted from each other in 64 bits"""
+"""The bound below which whole numbers can be subtracted from each other in 64 bits"""
 
 
 class Unfit(ValueError):
-    """What is wrong with a value: which it is, what it must be, and what it is."""
+    """A value is not as it must be; the message says which it is, what it must be, and what it is."""
 
 
 def number(name: str, value: Any, least: float = -math.inf, most: float = math.inf) -> float:
-    """A finite number from `least` to `most`. JSON's whole numbers have no limit, and true is none."""
+    """Return a value that is a finite number from `least` to `most`. JSON's whole numbers have no limit, and
+    true is none."""
     real = isinstance(value, int | float) and not isinstance(value, bool)
     # Before math looks at it, which cannot hold all whole numbers.
     if real and -sys.float_info.max <= value <= sys.float_info.max and least <= value <= most:
@@ -33,14 +35,15 @@ def number(name: str, value: Any, least: float = -math.inf, most: float = math.i
 
 
 def whole(name: str, value: Any, least: int = -LARGEST_WHOLE, most: int = LARGEST_WHOLE) -> int:
-    """A whole number from `least` to `most`."""
+    """Return a value that is a whole number from `least` to `most`."""
     if isinstance(value, int) and not isinstance(value, bool) and least <= value <= most:
         return value
     raise Unfit(f"{name} must be a whole number{_between(least, most)}, not {shortly(value)}")
 
 
 def text(name: str, value: Any, longest: int, errors: str = "strict") -> str:
-    """A text of at most `longest` characters that UTF-8 can hold, without NUL, which ends texts elsewhere."""
+    """Return a value that is a text of at most `longest` characters that UTF-8 can hold, without NUL, which
+    ends texts elsewhere."""
     if isinstance(value, str) and len(value) <= longest and "\0" not in value:
         try:
             value.encode("utf-8", errors)
@@ -52,38 +55,39 @@ def text(name: str, value: Any, longest: int, errors: str = "strict") -> str:
 
 
 def path(name: str, value: Any) -> str:
-    """A path, also one that Linux has and UTF-8 does not."""
+    """Return a value that is a path, also one that Linux has and UTF-8 does not."""
     return text(name, value, LONGEST_PATH, "surrogateescape")
 
 
 def flag(name: str, value: Any) -> bool:
-    """True or false."""
+    """Return a value that is true or false."""
     if isinstance(value, bool):
         return value
     raise Unfit(f"{name} must be true or false, not {shortly(value)}")
 
 
 def listed(name: str, value: Any, kind: Callable[[str, Any], T]) -> tuple[T, ...]:
-    """A list of which each entry is of a kind."""
+    """Return a list as a tuple, after the check `kind` of each entry."""
     if isinstance(value, list | tuple):
         return tuple(kind(name, each) for each in value)
     raise Unfit(f"{name} must be a list, not {shortly(value)}")
 
 
 def any_text(name: str, value: Any) -> str:
-    """A text of any length, also of what UTF-8 does not have, as names of files may be."""
+    """Return a value that is a text of any length, also of characters that UTF-8 does not have, as names of
+    files may be."""
     if isinstance(value, str):
         return value
     raise Unfit(f"{name} must be a text, not {shortly(value)}")
 
 
 def list_of(kind: Callable[[str, Any], T]) -> Callable[[str, Any], list[T]]:
-    """The kind of a list of which each entry is of that kind."""
+    """Make the check of a list from the check of its entries."""
     return lambda name, value: list(listed(name, value, kind))
 
 
 def dict_of(kind: Callable[[str, Any], T]) -> Callable[[str, Any], dict[str, T]]:
-    """The kind of an object of which each value is of that kind."""
+    """Make the check of a JSON object from the check of its values."""
 
     def read(name: str, value: Any) -> dict[str, T]:
         if isinstance(value, dict):
@@ -94,12 +98,12 @@ def dict_of(kind: Callable[[str, Any], T]) -> Callable[[str, Any], dict[str, T]]
 
 
 def or_none(kind: Callable[[str, Any], T]) -> Callable[[str, Any], T | None]:
-    """The kind of what is of that kind or None."""
+    """Make a check that takes None as well from a check."""
     return lambda name, value: None if value is None else kind(name, value)
 
 
 def one_of(*choices: str) -> Callable[[str, Any], Any]:
-    """The kind of a text that is one of those."""
+    """Make the check of a text that must be one of the choices."""
 
     def read(name: str, value: Any) -> Any:
         if isinstance(value, str) and value in choices:
@@ -110,7 +114,7 @@ def one_of(*choices: str) -> Callable[[str, Any], Any]:
 
 
 def shortly(value: Any) -> str:
-    """A value as a sentence shows it, whatever it is: without the whole of a long text or list."""
+    """Return a value as a sentence shows it, whatever it is: without the whole of a long text or list."""
     if isinstance(value, str | bytes):
         value = value[:60]
     elif isinstance(value, list | tuple | dict):

@@ -18,7 +18,8 @@ def _version(package: Path) -> str:
 
 
 def _of_checkout(folder: Path) -> str:
-    """From the manifest first: an egg-info that setuptools left in a checkout may be an old one."""
+    """Return the version of a checkout, from the manifest first: an egg-info that setuptools left there may
+    be an old one."""
     import tomllib
 
     try:
@@ -29,7 +30,8 @@ def _of_checkout(folder: Path) -> str:
 
 
 def _of_installation(folder: Path) -> str:
-    """From the metadata beside the package only: another Python path may hold another version."""
+    """Return the version of an installed package, from the metadata beside it only: another Python path may
+    hold another version."""
     from importlib import metadata
 
     found = metadata.distributions(name=_DISTRIBUTION, path=[str(folder)])

@@ -15,12 +15,13 @@ from handfit_core.common.files import cache_dir
 
 
 def cached(function: Callable[..., Any], folder: str, ignore: Sequence[str]) -> Any:
-    """The function with its results cached in that folder, by all arguments that are not ignored."""
+    """Return the function with its results cached in that folder, by all arguments that are not ignored."""
     return Memory(cache_dir() / folder, verbose=0).cache(function, ignore=list(ignore))
 
 
 def code_digest(*sources: ModuleType | Path) -> str:
-    """Fingerprint of packages, modules and files, by which changed code invalidates cached results."""
+    """Return a fingerprint of packages, modules and files, by which changed code invalidates cached
+    results."""
     sha = hashlib.sha256()
     for source in sources:
         file = Path(source if isinstance(source, Path) else source.__file__ or "")
@@ -31,7 +32,7 @@ def code_digest(*sources: ModuleType | Path) -> str:
 
 
 def versions(*packages: str) -> dict[str, str]:
-    """The versions of those packages that are installed."""
+    """Return the installed versions of those packages, by name."""
     found = {}
     for package in packages:
         try:

@@ -35,18 +35,19 @@ class UnitDetections:
     """The hands that were detected in the T pictures of a unit."""
 
     hands: Detections
-    """Hands of all pictures"""
+    """The hands that were detected in all T pictures"""
     sizes: np.ndarray
-    """(T, 2) int: width and height in pixels; UNREADABLE where the picture could not be read"""
+    """(T, 2) int: width and height of each picture in pixels; UNREADABLE where it could not be read"""
 
     @property
     def readable(self) -> np.ndarray:
-        """(T,) True for pictures that could be read"""
+        """(T,) bool: True for pictures that could be read"""
         return np.asarray((self.sizes > 0).all(axis=-1))
 
 
 class UnitDetector:
-    """Detects the hands of units, or reads them from the cache. Use as a context manager."""
+    """The detector of hands in units, which reads them from the cache where it can. Use it as a context
+    manager."""
 
     def __init__(self, options: CaptureOptions) -> None:
         self._options = options
@@ -67,7 +68,8 @@ class UnitDetector:
             self._stills.close()
 
     def detect(self, unit: Unit, on_picture: Callable[[], None]) -> UnitDetections:
-        """The hands in a unit's pictures, from the cache if possible; calls `on_picture` for each picture."""
+        """Return the hands in a unit's pictures, from the cache if possible; calls `on_picture` for each
+        picture."""
         times = [entry.time for entry in unit.entries if unit.is_clip]
         key = joblib.hash((self._made_with, unit.is_clip, times, [_content(e.picture) for e in unit.entries]))
         if self._find.check_call_in_cache(key, unit, self, on_picture):
@@ -76,7 +78,8 @@ class UnitDetector:
         return self._find(key, unit, self, on_picture)
 
     def found_in(self, unit: Unit, on_picture: Callable[[], None]) -> UnitDetections:
-        """The hands in a unit's pictures, detected now."""
+        """Detect the hands in a unit's pictures now, without the cache; calls `on_picture` for each
+        picture."""
         if unit.is_clip:
             clip = _UnitMedia(unit, on_picture)
             hands = detect_frames(clip, self._options).hands
@@ -107,7 +110,7 @@ def _content(picture: Path) -> str:
 
 
 class _UnitMedia(Media):
-    """A unit's pictures as one clip."""
+    """A unit's pictures as a clip that a detector can read."""
 
     def __init__(self, unit: Unit, on_picture: Callable[[], None]) -> None:
         self._entries, self._on_picture = unit.entries, on_picture
@@ -116,11 +119,13 @@ class _UnitMedia(Media):
         self.source = Source("sequence", tuple(str(entry.picture) for entry in unit.entries))
 
     def numbers(self, first: int = 0, count: int | None = None) -> range:
-        """Rows of the unit's pictures from `first` on, at most `count` of them, counted from 0."""
+        """Return the indices of the unit's pictures from `first` on, at most `count` of them, counted from
+        0."""
         return range(len(self._entries))[first:][:count]
 
     def frames(self, first: int = 0, count: int | None = None, step: int = 1) -> Iterator[Frame]:
-        """The frames of the part, None for a picture that cannot be read."""
+        """Yield every `step`-th frame of `count` pictures from `first` on; one that cannot be read has None
+        as its picture."""
         for row in self.numbers(first, count)[::step]:
             rgb, size = _read(self._entries[row])
             if row == len(self.sizes):  # some are read once more
@@ -130,7 +135,8 @@ class _UnitMedia(Media):
 
 
 def _read(entry: Entry) -> tuple[np.ndarray | None, tuple[int, int]]:
-    """A picture, (H, W, 3) uint8 RGB, and its size."""
+    """Return a picture, (H, W, 3) uint8 RGB, and its (width, height) in pixels; None for one that cannot be
+    read."""
     try:
         rgb, _ = read_picture(entry.picture, as_stored=True)
     except InputError:

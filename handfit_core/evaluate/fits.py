@@ -27,7 +27,7 @@ Task = tuple[str, TrackInView]
 def fit_all(
     tasks: Sequence[Task], protocol: ProtocolName, model: str | None = None, jobs: int = 1
 ) -> Iterator[TrackResult]:
-    """Each task's result in turn, from the cache if possible.
+    """Yield each task's result in turn, from the cache if possible.
 
     A hand model is the bundled one or a file of someone's, as `load_model` takes it.
     """
@@ -51,8 +51,8 @@ _model = cache(load_model)
 
 
 def _key(task: Task, model: str | None) -> object:
-    """A hash of everything but the code that decides a task's result. Models count by their content, their
-    relaxed pose, which a prior uses, and their name, which decides about joint limits."""
+    """Return a hash of everything but the code that decides a task's result. Models count by their content,
+    their relaxed pose, which a prior uses, and their name, which decides about joint limits."""
     name, (track, intrinsics) = task
     hand: HandModel = _model(model, track.side)
     arrays = {key: array.tobytes() for key, array in arrays_of(track.detections).items()}

@@ -13,17 +13,19 @@ from handfit_core.interchange.recording import LEAST_POINTS, SeenHands
 
 @dataclass(frozen=True)
 class Flat:
-    """How keypoints are degraded beside the loss of their depth."""
+    """The damage done to keypoints beside the loss of their depth."""
 
     noise: float = 0.0
-    """Standard deviation added to x and y, of the hand's size (the longer side of its keypoints' box)"""
+    """Standard deviation of the noise added to x and y, in parts of the hand's size (the longer side of its
+    keypoints' box)"""
     missing: float = 0.0
-    """Share of the points that are dropped, 0..1"""
+    """Share, 0..1, of the points that are dropped"""
 
 
 def flattened(detections: Detections, flat: Flat, seed: int = 0) -> Detections:
-    """Detections of which only the keypoints' x and y are used, degraded as `flat` says, with a depth that is
-    estimated as for keypoints of other programs. The sides are those that the detector found likelier."""
+    """Return detections of which only the keypoints' x and y are used, degraded as `flat` says, with a depth
+    that is estimated as for keypoints of other programs. The sides are those that the detector found
+    likelier."""
     rng = np.random.default_rng(seed)
     points, size = detections.keypoints_2d, detections.extent
     points = points + flat.noise * size[:, None, None] * rng.normal(size=points.shape)

@@ -23,7 +23,7 @@ class MeshLabel:
     """A hand's true surface, read when asked for."""
 
     vertices: Callable[[], np.ndarray]
-    """() -> (V, 3) metres, camera frame"""
+    """Reads the surface's vertices: (V, 3) metres in the camera frame"""
     digests: frozenset[str] = frozenset()
     """`HandModel.digest` of every model that has these vertices in this order, as a hand's mirror image
     does; empty where unknown (a MANO of someone's)"""
@@ -34,7 +34,7 @@ class HandLabel:
     """The truth about one hand in one picture."""
 
     side: Side | None
-    """None where the set does not say"""
+    """The side of the hand; None where the set does not say"""
     joints_3d: np.ndarray
     """(21, 3) metres in the camera frame, MediaPipe's order; NaN where there is no label"""
     keypoints_2d: np.ndarray
@@ -48,7 +48,7 @@ class Labels:
 
     hands: tuple[HandLabel, ...]
     intrinsics: Intrinsics | None
-    """The true camera in pixels; None where the set does not give it"""
+    """The true camera, with lengths in pixels; None where the set does not give it"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +56,15 @@ class Entry:
     """One picture of a data set."""
 
     name: str
-    """Unique within the set, as in `Desk/00012`"""
+    """The entry's name, unique within the set, as in `Desk/00012`"""
     picture: Path
     read_labels: Callable[[], Labels]
-    """An error that it raises is a problem of this entry alone"""
+    """Reads the picture's labels; an error that it raises is a problem of this entry alone"""
     clip: str | None = None
-    """The clip it belongs to; None for a still. Entries of a clip stand together, in the order of time"""
+    """The name of the clip that the picture belongs to; None for a still. Entries of a clip stand together,
+    in the order of time"""
     time: float = 0.0
-    """seconds since the clip's start"""
+    """Seconds since the clip's start"""
     tags: Mapping[str, str] = field(default_factory=dict)
     """Properties of the picture by which results are grouped, as in {"pose": "fist", "occluder": "none"}"""
 
@@ -77,7 +78,7 @@ class Unit:
 
 
 def units_of(entries: Sequence[Entry], *, clips: bool = True, every: int = 1) -> list[Unit]:
-    """Group entries into units and keep every n-th still and every n-th clip, each counted by itself.
+    """Group entries into units and keep every n-th still and every n-th clip, stills and clips counted apart.
 
     With `clips=False` every picture is a still of its own, as in the paper, and every n-th is kept.
     """
@@ -90,7 +91,7 @@ def units_of(entries: Sequence[Entry], *, clips: bool = True, every: int = 1) ->
 
 
 def said(error: Exception) -> str:
-    """The text of an error in one line, for a `Problem`."""
+    """Return the text of an error in one line, for a `Problem`."""
     if isinstance(error, HandfitError):
         return str(error)
     if isinstance(error, OSError):
@@ -104,9 +105,9 @@ class Problem:
     """A fault of some entries, which are counted and reported, never silently dropped."""
 
     kind: str
-    """A few words, as in `picture missing`; problems of one kind are counted together"""
+    """The kind of fault in a few words, as in `picture missing`; problems of one kind are counted together"""
     where: str
-    """The file or entry"""
+    """The name of the file or entry that has the fault"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,13 +115,13 @@ class Dataset:
     """A labelled data set on disk."""
 
     name: str
-    """For people, as in `FreiHAND (evaluation)`"""
+    """The set's name for people, as in `FreiHAND (evaluation)`"""
     kind: str
     """The reader's name on the command line, as in `freihand`"""
     root: Path
     entries: Sequence[Entry]
     problems: tuple[Problem, ...] = ()
-    """Found while listing: pictures without labels, labels without pictures, ..."""
+    """The problems found while listing: pictures without labels, labels without pictures, ..."""
     notes: tuple[str, ...] = ()
     """Sentences about the labels, for the report"""
 
@@ -130,11 +131,11 @@ class Reader:
     """One layout of data sets on disk, and what can be chosen about it."""
 
     layout: str
-    """For messages, as in `RHD's layout: training/color/00000.png ..., ...`"""
+    """The layout's description for messages, as in `RHD's layout: training/color/00000.png ..., ...`"""
     recognises: Callable[[Path], bool]
     """True if a folder has any part of this layout, even if other parts are missing"""
     read: Callable[..., Dataset]
-    """(root, **what can be chosen) -> everything that is there, with labels that are read when asked for.
+    """Lists everything in a folder, (root, **choices) -> Dataset, with labels that are read when asked for.
     Raises DatasetError, OptionError"""
     has_splits: bool = False
     """True if `read` takes `split`: a name, or None for the part that is evaluated by default"""

@@ -32,21 +32,22 @@ class TrackResult(Batch):
     """One method's hand over a track's T frames; NaN where nothing was detected."""
 
     points_3d: np.ndarray
-    """(T, 21, 3) metres, camera frame"""
+    """(T, 21, 3) metres in the camera frame: the hand's keypoints"""
     picture_points: np.ndarray
-    """(T, 21, 3) pixels with a relative depth in pixels, on the scale of x"""
+    """(T, 21, 3) pixels: the keypoints in the picture, with a relative depth on the scale of x"""
     milliseconds: np.ndarray
-    """(T,) of fitting, spread evenly over the frames with a hand"""
+    """(T,) milliseconds of fitting, spread evenly over the frames with a hand"""
     parameters: np.ndarray
-    """(T, 61) betas, global_orient, hand_pose, transl; (T, 0) where there is no hand model"""
+    """(T, 61) betas, global_orient (radians), hand_pose (radians), transl (metres); (T, 0) where there is no
+    hand model"""
     expected_error: np.ndarray
-    """(T,) metres that the hand is likely to be off, as the solver says; NaN where it does not"""
+    """(T,) metres that the hand is likely to be off, as the solver says; NaN where it says nothing"""
 
     @classmethod
     def of_points(
         cls, points: np.ndarray, picture_points: np.ndarray, milliseconds: np.ndarray | None = None
     ) -> TrackResult:
-        """Points without a hand model behind them."""
+        """Make a result of points that have no hand model behind them."""
         nothing = np.full(len(points), np.nan)
         times = nothing if milliseconds is None else milliseconds
         return cls(points, picture_points, times, np.empty((len(points), 0)), nothing)
@@ -57,26 +58,27 @@ Method = Callable[[HandModel, Track, Intrinsics], TrackResult]
 
 
 def image_landmarks(keypoints: np.ndarray, world: np.ndarray) -> np.ndarray:  # noqa: ARG001
-    """Keypoints (21, 3) in pixels with depth, as they are; `world` (21, 3) in metres does not count."""
+    """Return image landmarks (21, 3) in pixels with depth, which the keypoints are already; `world` (21, 3)
+    in metres does not count."""
     return keypoints
 
 
 def world_landmarks(keypoints: np.ndarray, world: np.ndarray) -> np.ndarray:
-    """(21, 3) pixels with depth: world landmarks (21, 3) in metres, laid over the keypoints (21, 3) in pixels
-    by a similarity transform."""
+    """Return (21, 3) pixels with depth: world landmarks (21, 3) in metres, laid over the keypoints (21, 3) in
+    pixels by a similarity transform."""
     return align(world, keypoints, with_scale=True).apply(world)
 
 
 def fused_landmarks(keypoints: np.ndarray, world: np.ndarray) -> np.ndarray:
-    """(21, 3) pixels with depth: x and y of the keypoints (21, 3), the depth averaged over these and world
-    landmarks (21, 3)."""
+    """Return (21, 3) pixels with depth: x and y of the keypoints (21, 3), the depth averaged over these and
+    world landmarks (21, 3) in metres."""
     fused = keypoints.copy()
     fused[:, 2] = (fused[:, 2] + world_landmarks(keypoints, world)[:, 2]) / 2.0
     return fused
 
 
 def in_metres(picture_points: np.ndarray, world: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
-    """(21, 3) pixels with depth -> (21, 3) metres in the camera frame.
+    """Turn points (21, 3) in pixels with depth into (21, 3) metres in the camera frame.
 
     The size is that of the world landmarks (21, 3) in metres: the scale of the similarity transform from the
     points to them.
@@ -96,7 +98,7 @@ def raw(
     track: Track,
     intrinsics: Intrinsics,
 ) -> TrackResult:
-    """The detector's landmarks as they are."""
+    """Return the detector's landmarks without a fit, as a method's result."""
     hands, count = track.detections, track.frame_count
     points, picture = _empty(count), _empty(count)
     for i, keypoints, world in zip(hands.frame, hands.keypoints, hands.world, strict=True):
@@ -106,7 +108,7 @@ def raw(
 
 
 def solved(solver: str, model: HandModel, track: Track, intrinsics: Intrinsics) -> TrackResult:
-    """A solver, called as a capture calls it."""
+    """Run a solver as a capture runs it."""
     seen = track.detected
     started = time.perf_counter()
     fit = get_solver(solver)(model, track, intrinsics, lambda: None)
@@ -126,7 +128,7 @@ def solved(solver: str, model: HandModel, track: Track, intrinsics: Intrinsics) 
 
 
 def published(solver: str, model: HandModel, track: Track, intrinsics: Intrinsics) -> TrackResult:
-    """One of the paper's solvers as its evaluation uses it: frame by frame, laid back over the picture by
+    """Run one of the paper's solvers as its evaluation uses it: frame by frame, laid back over the picture by
     the inverse of its alignment, with no camera anywhere."""
     fitter = PaperFitter(model, EXPERIMENTS[solver])
     hands, count = track.detections, track.frame_count
@@ -146,25 +148,26 @@ def _empty(count: int) -> np.ndarray:
 
 
 def _seen_from_afar(points: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
-    """(T, 21, 3) metres -> projected pixels, and depths about their mean in pixels of the mean depth."""
+    """Project points (T, 21, 3) in metres to pixels, with depths about their mean in pixels of the mean
+    depth."""
     mean_depth = points[..., 2:].mean(axis=-2, keepdims=True)
     depth = (points[..., 2:] - mean_depth) * intrinsics.fx / mean_depth
     return np.concatenate([intrinsics.project(points), depth], axis=-1)
 
 
 _RAW: Final = {"raw-image": image_landmarks, "raw-world": world_landmarks, "fused": fused_landmarks}
-"""The landmarks of the detector, without a fit"""
+"""The methods that give the detector's landmarks without a fit, by name"""
 
 _GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "raw": ("raw-image", "raw-world"),
     "paper": tuple(name for name, solver in SOLVERS.built_in().items() if solver.published),
     "all": (*_RAW, *solver_names()),
 }
-"""Names that stand for several."""
+"""For each name that stands for several methods, their names."""
 
 
 def method_names(asked: list[str]) -> list[str]:
-    """Every method once, in the order asked for; groups opened. Raises OptionError."""
+    """Return every method once, in the order asked for, with groups opened. Raises OptionError."""
     known = _GROUPS["all"]
     names = [name for word in asked for name in _GROUPS.get(word, (word,))]
     for name in names:
@@ -174,7 +177,7 @@ def method_names(asked: list[str]) -> list[str]:
 
 
 def get_method(name: str, protocol: ProtocolName) -> Method:
-    """The method of that name, as the protocol runs it."""
+    """Return the method of that name, as the protocol runs it."""
     if name in _RAW:
         return partial(raw, _RAW[name])
     if protocol == "paper" and SOLVERS.get(name).published:

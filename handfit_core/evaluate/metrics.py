@@ -22,11 +22,11 @@ PCK_THRESHOLDS_MM: Final = np.linspace(20.0, 50.0, 100)
 """(100,) mm: the range that EgoDexter and Dexter+Object are usually reported on"""
 PCK_THRESHOLDS_MM.setflags(write=False)
 JITTER_ABOVE_HZ: Final = 5.0
-"""Faster than hands move on purpose, mostly; what is above is called jitter"""
+"""The frequency in Hz that hands mostly do not move faster than on purpose; faster motion is called jitter"""
 
 
 def mean_of_labelled(errors: np.ndarray, axis: int | None = None) -> np.ndarray:
-    """Mean along an axis (None: of all) over what is not NaN; NaN where nothing is left."""
+    """Return the mean along an axis (None: of all) over what is not NaN; NaN where nothing is left."""
     errors = np.asarray(errors, dtype=np.float64)
     there = ~np.isnan(errors)
     count = np.asarray(there.sum(axis=axis))
@@ -35,12 +35,12 @@ def mean_of_labelled(errors: np.ndarray, axis: int | None = None) -> np.ndarray:
 
 
 def labelled_points(truth: np.ndarray) -> np.ndarray:
-    """(..., P) bool: the points of (..., P, 2 or 3) labels that have no NaN."""
+    """Return (..., P) bool: the points of (..., P, 2 or 3) labels that have no NaN."""
     return np.asarray(~np.isnan(truth).any(axis=-1))
 
 
 def camera_distances(points: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """(..., P) distances of (..., P, 3) points to the truth. Alignment: none."""
+    """Return (..., P) distances of (..., P, 3) points to the truth. Alignment: none."""
     return np.linalg.norm(np.asarray(points, dtype=np.float64) - truth, axis=-1)
 
 
@@ -190,6 +190,6 @@ def jitter_spectrum(points: np.ndarray, truth: np.ndarray, fps: float) -> float:
 
 
 def _runs(valid: np.ndarray) -> list[slice]:
-    """The unbroken runs of True in (T,) booleans."""
+    """Return slices of the unbroken runs of True in (T,) booleans."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], valid.astype(int), [0]])))
     return [slice(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]

@@ -12,7 +12,7 @@ from handfit_core.evaluate.scores import Comparison, Evaluation
 from handfit_core.evaluate.summary import METRICS, hands_table
 
 MOST_VALUES = 20
-"""A tag with more values than that is a name or a number, not a group"""
+"""The most values of a tag by which results are grouped: one with more is a name or a number, not a group"""
 
 
 def write_report(folder: Path, evaluation: Evaluation) -> list[Path]:
@@ -46,14 +46,15 @@ def write_report(folder: Path, evaluation: Evaluation) -> list[Path]:
 
 
 def main_table(evaluation: Evaluation) -> pd.DataFrame:
-    """A row for each method, a column for each metric that some method has a value of."""
+    """Make a table with a row for each method and a column for each metric that some method has a value
+    of."""
     known = evaluation.summaries.dropna(axis="columns", how="all")
     return known.rename_axis("method").reset_index()
 
 
 def tag_table(evaluation: Evaluation) -> pd.DataFrame:
-    """Each method's hands, detection rate and mean errors by every tag of the set with 2 to MOST_VALUES
-    values. Errors are averaged over the detected hands of a group."""
+    """Make a table of each method's hands, detection rate and mean errors by every tag of the set with 2 to
+    MOST_VALUES values. Errors are averaged over the detected hands of a group."""
     hands = pd.concat([hands_table(scores) for scores in evaluation.scores if not scores.is_baseline])
     hands["detection_rate"] = 100.0 * hands["detected"]
     groups = [pd.DataFrame(columns=["tag", "value", "method", "hands", "detection_rate", "epe", "pa_mpjpe"])]
@@ -69,7 +70,8 @@ def tag_table(evaluation: Evaluation) -> pd.DataFrame:
 
 
 def as_text(table: pd.DataFrame) -> pd.DataFrame:
-    """The table with the titles of its metrics and as many digits as they are worth; a dash for no number."""
+    """Return the table with the titles of its metrics and as many digits as they are worth; a dash for no
+    number."""
     texts = {}
     for name, column in table.items():
         metric = METRICS.get(str(name))

@@ -35,10 +35,10 @@ class TrackInView(NamedTuple):
 
 @dataclass
 class Rows:
-    """All labelled hands of an evaluation."""
+    """All labelled hands of an evaluation, and the tracks that were detected of them."""
 
     listed: list[dict[str, Any]] = field(default_factory=list)
-    """A row of `hands` each"""
+    """The labelled hands, each as a row of `hands`"""
     problems: list[Problem] = field(default_factory=list)
     tracks: list[TrackInView] = field(default_factory=list)
     """The detected tracks that rows refer to by number"""
@@ -48,12 +48,12 @@ class Rows:
 
     @cached_property
     def hands(self) -> pd.DataFrame:
-        """N rows, as `_row` tells them."""
+        """The N labelled hands as a table, with the columns that `_row` gives."""
         return pd.DataFrame(self.listed)
 
     @cached_property
     def labels_3d(self) -> np.ndarray:
-        """(N, 21, 3) metres, camera frame."""
+        """(N, 21, 3) metres in the camera frame: the true keypoints of each row."""
         return np.array([row["label"].joints_3d for row in self.listed])
 
 
@@ -63,7 +63,8 @@ ReadUnit = Callable[[Unit], UnitDetections]
 
 
 def rows_of(units: Sequence[Unit], detect: ReadUnit, *, protocol: ProtocolName, camera: str) -> Rows:
-    """Detect and pair with labels. `camera` is `assumed` or `labelled`: what solvers are told."""
+    """Detect the hands in units and pair them with labels. `camera` is `assumed` or `labelled`: which one
+    solvers are told."""
     found = Rows()
     for unit in units:
         labels = [_labels(entry, found) for entry in unit.entries]
@@ -85,7 +86,7 @@ def rows_of(units: Sequence[Unit], detect: ReadUnit, *, protocol: ProtocolName, 
 
 
 def _camera(frames: Sequence[Frame], seen: UnitDetections, camera: str, found: Rows) -> Intrinsics:
-    """The camera through which a unit is fitted."""
+    """Return the camera through which a unit is fitted."""
     first, entry, labels = frames[0]
     if camera == "labelled" and labels.intrinsics:
         changed = [e.name for _, e, one in frames if one.intrinsics != labels.intrinsics]
@@ -120,7 +121,7 @@ def _is_labelled(hand: HandLabel) -> bool:
 def _strict_rows(
     unit: Unit, frames: Sequence[Frame], seen: UnitDetections, intrinsics: Intrinsics, found: Rows
 ) -> None:
-    """Tracks as a capture makes them; every labelled hand is a row, found or not."""
+    """Add rows for tracks as a capture makes them; every labelled hand is a row, found or not."""
     try:
         tracks = link_tracks(seen.hands, len(unit.entries), "auto", 2, _fps(unit))
     except NoHandFoundError:
@@ -140,14 +141,14 @@ def _strict_rows(
 
 
 def _fps(unit: Unit) -> float:
-    """Frames per second, by the entries' times; 25 for a still."""
+    """Return frames per second by the entries' times; 25 for a still."""
     steps = np.diff([entry.time for entry in unit.entries])
     steps = steps[steps > 0]
     return float(1.0 / np.median(steps)) if len(steps) else 25.0
 
 
 def _paper_rows(frames: Sequence[Frame], seen: UnitDetections, intrinsics: Intrinsics, found: Rows) -> None:
-    """One row a picture: its first labelled hand and its first detection, whoever's it is, taken for a
+    """Add one row a picture: its first labelled hand and its first detection, whoever's it is, taken for a
     left hand. What the published evaluation drops in silence is dropped too, and named."""
     for t, entry, labels in frames:
         tips = list(TIP_KEYPOINTS)
@@ -169,7 +170,7 @@ def _paper_rows(frames: Sequence[Frame], seen: UnitDetections, intrinsics: Intri
 
 
 def _row(entry: Entry, labels: Labels, index: int, found: Rows, track: int, frame: int) -> dict[str, Any]:
-    """One labelled hand in one picture."""
+    """Return the row of one labelled hand in one picture."""
     hand = labels.hands[index]
     side = found.tracks[track].track.side if track >= 0 else None
     return {
@@ -191,12 +192,12 @@ def _row(entry: Entry, labels: Labels, index: int, found: Rows, track: int, fram
 
 
 MATCH_DISTANCE = 0.5
-"""A detection whose points lie farther from the labels than half the hand's size (on average) has found
-something else."""
+"""The mean distance, in parts of the hand's size, beyond which a detection's points lie too far from the
+labels to be of that hand: it has found something else."""
 
 
 def label_pixels(hand: HandLabel, intrinsics: Intrinsics | None) -> np.ndarray:
-    """(21, 2) labelled pixels; where the set has none, the 3D labels through its camera; else NaN."""
+    """Return (21, 2) labelled pixels; where the set has none, the 3D labels through its camera; else NaN."""
     if np.isfinite(hand.keypoints_2d).any() or intrinsics is None:
         return hand.keypoints_2d
     in_front = np.where(hand.joints_3d[:, 2:] > 0.0, hand.joints_3d, np.nan)
@@ -204,8 +205,8 @@ def label_pixels(hand: HandLabel, intrinsics: Intrinsics | None) -> np.ndarray:
 
 
 def match(labels_2d: Sequence[np.ndarray], detections: Sequence[np.ndarray]) -> list[int | None]:
-    """For each labelled hand's (21, 2) pixels the index of its detection, whose keypoints are (21, 2) pixels,
-    too, or None for a miss.
+    """Return for each labelled hand, (21, 2) pixels, the index of its detection, whose keypoints are (21, 2)
+    pixels, too, or None for a miss.
 
     The assignment with the least total distance; the side plays no part, so that wrong sides are
     seen as such. Labels without any pixels can only be told by their order: they take what is left.
@@ -228,7 +229,7 @@ def match(labels_2d: Sequence[np.ndarray], detections: Sequence[np.ndarray]) -> 
 
 
 def _distance(pixels: np.ndarray, keypoints: np.ndarray) -> float:
-    """Mean distance of the labelled points in units of the hand's size."""
+    """Return the mean distance of the labelled points in units of the hand's size."""
     known = np.isfinite(pixels).all(axis=-1)
     distance = np.linalg.norm(keypoints[known] - pixels[known], axis=-1).mean()
     # One labelled point has no size, and a few may lie close together: the detection's then decides.

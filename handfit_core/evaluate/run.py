@@ -36,29 +36,30 @@ COMPARED_METRICS: dict[ProtocolName, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class EvaluationOptions:
-    """The methods to evaluate, and settings."""
+    """The user's choices for an evaluation: the methods, and settings."""
 
     methods: tuple[str, ...]
-    """Names or groups, see `methods.method_names`"""
+    """Names of methods or of groups of them, see `methods.method_names`"""
     protocol: ProtocolName = "strict"
     camera: CameraChoice = "assumed"
     """The camera that solvers get: a guess, or the data set's labels"""
     every: int = 1
-    """Use every n-th still and every n-th clip"""
+    """The n by which every n-th still and every n-th clip is used"""
     clips: bool = True
-    """Fit clips as wholes; False takes each of their pictures for a still"""
+    """True if clips are fitted as wholes; False takes each of their pictures for a still"""
     jobs: int = 1
-    """Processes that fit at the same time"""
+    """How many processes fit at the same time"""
     reference: str | None = None
-    """Every other method is compared with this one; the last of `methods` by default"""
+    """The method that every other one is compared with; None for the last of `methods`"""
     flat: Flat | None = None
-    """Solvers are given keypoints without depth, spoilt like that; None: what the detector found"""
+    """The damage to the keypoints without depth that solvers are given; None gives them what the detector
+    found"""
     model: str | None = None
     detector: CaptureOptions = CaptureOptions()  # noqa: RUF009 (frozen)
 
 
 ReportProgress = Callable[[str, int, int], None]
-"""(stage, done, total); stages are `detect`, `fit` and `score`"""
+"""Takes the stage (`detect`, `fit` or `score`), how much of it is done, and how much there is"""
 
 
 def evaluate(dataset: Dataset, options: EvaluationOptions, progress: ReportProgress) -> Evaluation:
@@ -135,7 +136,7 @@ def evaluate(dataset: Dataset, options: EvaluationOptions, progress: ReportProgr
 
 
 def _checked(options: EvaluationOptions, names: Sequence[str]) -> str:
-    """The method that others are compared with. Raises OptionError."""
+    """Check the options; returns the method that others are compared with. Raises OptionError."""
     if not names:
         raise OptionError("no solver was named; give at least one, as in --solvers raw,fused,paper-a")
     for what, value in (("every", options.every), ("jobs", options.jobs)):
@@ -175,7 +176,7 @@ def _detected_rows(
 def _fitted(
     rows: Rows, names: Sequence[str], options: EvaluationOptions, progress: ReportProgress
 ) -> dict[str, list[TrackResult]]:
-    """Every method's results, of all tracks."""
+    """Return every method's results, of all tracks, by the method's name."""
     # Track by track and not method by method: neighbours in time saw the machine in the same mood.
     tasks = [(name, view) for view in rows.tracks for name in names]
     done = list(accumulate(len(view.track.detections) for _, view in tasks))

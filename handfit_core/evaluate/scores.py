@@ -31,58 +31,60 @@ class Scores:
     each other), `expected_error` (mm of PA-MPJPE that the solver expects), `pa_mpvpe` (mm), `f5` (F-score of
     the aligned surfaces) and `fit_ms`; NaN where there is none"""
     labels_3d: np.ndarray
-    """(N, 21, 3) metres, camera frame"""
+    """(N, 21, 3) metres in the camera frame: the true keypoints, NaN where not labelled"""
     points_3d: np.ndarray
-    """(N, 21, 3) metres, camera frame, before any alignment"""
+    """(N, 21, 3) metres in the camera frame: the predicted keypoints before any alignment, NaN for a miss"""
     errors: Mapping[str, np.ndarray]
     """(N, 21) of each point, by the metric whose mean over points they have: `epe`, `mpjpe` and `pa_mpjpe` in
     mm, `error_2d` in pixels over the hand's size in pixels; `metrics` has their alignments"""
 
     @property
     def detected(self) -> np.ndarray:
-        """(N,) bool"""
+        """(N,) bool: the rows in which the method has a hand."""
         return self.hands["detected"].to_numpy(dtype=bool)
 
 
 class Comparison(NamedTuple):
-    """Two methods on the same hands: is the difference a difference?"""
+    """The difference of two methods on the same hands, with its bootstrap interval."""
 
     metric: str
     """Key into `summary.METRICS`"""
     first: str
     second: str
     difference: float
-    """mean over hands of first - second, on hands that both have"""
+    """Mean over hands of first - second, on hands that both have, in the metric's unit"""
     low: float
-    """2.5 % end of the bootstrap interval"""
+    """The 2.5 % end of the bootstrap interval"""
     high: float
-    """97.5 % end"""
+    """The 97.5 % end of the bootstrap interval"""
     hands: int
     units: int
-    """Number of stills and clips. A clip is resampled as a whole: its frames are not independent"""
+    """How many stills and clips were compared. A clip is resampled as a whole: its frames are not
+    independent"""
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """All that a report shows."""
+    """The whole result of an evaluation, as a report shows it."""
 
     dataset: str
     kind: str
-    """The reader's name, as in `egodexter`"""
+    """The name of the data set's reader, as in `egodexter`"""
     root: Path
     protocol: ProtocolName
     scores: tuple[Scores, ...]
-    """Baselines first, then methods in the order asked for"""
+    """The scores of baselines first, then of methods in the order asked for"""
     summaries: pd.DataFrame
-    """A row for each method, a column for each metric; NaN where it does not apply"""
+    """A row for each method, a column for each metric; NaN where the metric does not apply"""
     comparisons: tuple[Comparison, ...]
     pictures: int
-    """Pictures evaluated"""
+    """How many pictures were evaluated"""
     labelled_hands: int
     extra_hands: int
-    """Detections that belong to no labelled hand (shared by all methods)"""
+    """How many detections belong to no labelled hand (shared by all methods)"""
     problems: Mapping[str, tuple[str, ...]]
-    """kind -> where, for everything that could not be used, and everything that a protocol leaves out"""
+    """For each kind of problem the files or entries that have it: everything that could not be used, and
+    everything that a protocol leaves out"""
     notes: tuple[str, ...]
     """Sentences: what the set's labels mean, what the protocol does, which camera was assumed"""
     setup: Mapping[str, str]

@@ -1,4 +1,4 @@
-"""A method's results against the labels of all rows."""
+"""Comparing a method's results with the labels of all rows."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Models = Mapping[Side, HandModel]
 
 
 def results_of_rows(rows: Rows, results: Sequence[TrackResult]) -> TrackResult:
-    """Each of N rows' result, NaN for a miss. `results` are one method's, of `rows.tracks`."""
+    """Return the result of each of N rows, NaN for a miss. `results` are one method's, of `rows.tracks`."""
     nothing = np.full((1, NUM_KEYPOINTS, 3), np.nan)
     width = results[0].parameters.shape[1] if results else 0
     miss = replace(TrackResult.of_points(nothing, nothing), parameters=np.full((1, width), np.nan))
@@ -54,7 +54,7 @@ def score(
     *,
     is_baseline: bool = False,
 ) -> Scores:
-    """Score N rows. `found` is each row's result, and `models` the hand models behind them, for surfaces.
+    """Score N rows. `found` has each row's result, and `models` the hand models behind them, for surfaces.
 
     `problems` gets each mesh that cannot be read once, in order.
     """
@@ -98,7 +98,7 @@ def score(
 
 
 def published_error(picture_points: np.ndarray, joints_3d: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
-    """(21,) mm by the published evaluation, faults included; NaN but for labelled fingertips.
+    """Return (21,) mm by the published evaluation, faults included; NaN but for labelled fingertips.
 
     What that does (arXiv 2506.11133 and its code; docs/evaluation.md lists the consequences):
 
@@ -124,7 +124,7 @@ def published_error(picture_points: np.ndarray, joints_3d: np.ndarray, intrinsic
 
 
 def _fitted(rows: Rows, found: TrackResult, models: Models) -> list[tuple[HandModel, np.ndarray]]:
-    """The hand models with the numbers of the rows that have parameters of them."""
+    """Return the hand models, each with the numbers (indices) of the rows that have parameters of it."""
     if not found.parameters.size:
         return []
     known = np.isfinite(found.parameters).all(axis=1)
@@ -133,7 +133,8 @@ def _fitted(rows: Rows, found: TrackResult, models: Models) -> list[tuple[HandMo
 
 
 def _penetration(rows: Rows, found: TrackResult, models: Models) -> np.ndarray:
-    """(N,) metres that the deepest two parts of each hand stand in each other; NaN without a hand model."""
+    """Return (N,) metres that the deepest two parts of each hand stand in each other; NaN without a hand
+    model."""
     depths = np.full(len(rows.hands), np.nan)
     for model, fitted in _fitted(rows, found, models):
         surface = surface_of(model)
@@ -144,7 +145,8 @@ def _penetration(rows: Rows, found: TrackResult, models: Models) -> np.ndarray:
 
 
 def _surfaces(rows: Rows, found: TrackResult, models: Models, problems: dict[Problem, None]) -> pd.DataFrame:
-    """(N) PA-MPVPE and F-score, where both sides have a surface."""
+    """Return a table of N rows with PA-MPVPE and F-score where both the method and the labels have a
+    surface."""
     scores = pd.DataFrame(np.nan, rows.hands.index, ["pa_mpvpe", "f5"])
     for model, fitted in _fitted(rows, found, models):
         for i in fitted:
@@ -171,7 +173,7 @@ def _surfaces(rows: Rows, found: TrackResult, models: Models, problems: dict[Pro
 
 
 def baselines(rows: Rows, protocol: ProtocolName, model: str | None) -> dict[str, TrackResult]:
-    """The null baselines, which look at the truth instead of the picture.
+    """Return the results of the null baselines, which look at the truth instead of the picture, by name.
 
     Whatever a protocol gives them for nothing, it gives to every method.
     Under the paper's protocol they see only what was detected, as the methods do.
@@ -194,7 +196,7 @@ def baselines(rows: Rows, protocol: ProtocolName, model: str | None) -> dict[str
 
 
 def collapsed_to_centroid(labels_3d: np.ndarray) -> np.ndarray:
-    """(21, 3) points that all stand at the centroid of the labelled ones of (21, 3) labels.
+    """Return (21, 3) points that all stand at the centroid of the labelled ones of (21, 3) labels.
 
     All NaN where nothing is labelled.
     """
@@ -204,7 +206,8 @@ def collapsed_to_centroid(labels_3d: np.ndarray) -> np.ndarray:
 
 
 def mean_pose_at_truth(model: HandModel, labels_3d: np.ndarray) -> np.ndarray:
-    """(21, 3) keypoints of the relaxed hand of mean shape, moved rigidly onto the labelled points.
+    """Return (21, 3) keypoints of the relaxed hand of mean shape, moved rigidly onto the labelled points,
+    metres.
 
     The relaxed hand is `model.hands_mean` with betas 0; rotation and translation are the best in the
     least-squares sense (Umeyama 1991), without scale and without mirroring, so take the model of the
@@ -218,8 +221,8 @@ def mean_pose_at_truth(model: HandModel, labels_3d: np.ndarray) -> np.ndarray:
 
 
 def in_picture(points: np.ndarray, intrinsics: Intrinsics | None) -> np.ndarray:
-    """(21, 3) metres -> pixels, with depths about their mean in millimetres, which the paper's protocol
-    takes pixels for; NaN without a camera."""
+    """Project points (21, 3) in metres to pixels, with depths about their mean in millimetres, which the
+    paper's protocol takes pixels for; NaN without a camera."""
     if intrinsics is None:
         return np.full((NUM_KEYPOINTS, 3), np.nan)
     depth = MM * (points[:, 2:] - points[:, 2:].mean())

@@ -26,12 +26,12 @@ from handfit_core.fit.doubt import DOUBT
 
 
 class Metric(NamedTuple):
-    """A column of the tables."""
+    """A column of the tables: its title, its digits, and what it measures."""
 
     title: str
-    """With the unit; without one for a share of 0..1"""
+    """The column's title with the unit; without one for a share of 0..1"""
     digits: int
-    """Shown behind the point"""
+    """How many digits are shown behind the point"""
     alignment: str
     """The alignment before measuring and what the mean is over, in words"""
 
@@ -63,7 +63,7 @@ HAND_METRICS: Final = ("epe", "mpjpe", "pa_mpjpe", "error_2d", "pa_mpvpe")
 
 
 def hand_means(scores: Scores, metric: str) -> np.ndarray:
-    """(N,) each hand's mean of one of `HAND_METRICS` over its points, in the unit that METRICS tells.
+    """Return (N,) each hand's mean of one of `HAND_METRICS` over its points, in the unit that METRICS tells.
 
     NaN for misses, and where labels are missing; EPE also where a single point is labelled, which is 0 by
     its alignment.
@@ -78,7 +78,8 @@ def hand_means(scores: Scores, metric: str) -> np.ndarray:
 
 
 def hands_table(scores: Scores) -> pd.DataFrame:
-    """One row per labelled hand with its picture, its mean errors, its time and its picture's tags."""
+    """Make a table of one row per labelled hand with its picture, its mean errors, its time and its picture's
+    tags."""
     table = scores.hands[["sample", "hand", "clip", "time", "detected"]].assign(
         **{metric: hand_means(scores, metric) for metric in HAND_METRICS}
     )
@@ -89,7 +90,7 @@ def hands_table(scores: Scores) -> pd.DataFrame:
 
 
 def summarise(scores: Scores, protocol: ProtocolName) -> dict[str, float]:
-    """Metric key -> value, in the units of METRICS; NaN where a metric does not apply.
+    """Return each metric's value by its key, in the units of METRICS; NaN where a metric does not apply.
 
     `strict` gives all of METRICS. `paper` gives `epe` and `auc` as the paper's code computes them (see
     `paper_means`), over the fingertips, and beside them the detection rate, which it does not publish.
@@ -98,7 +99,7 @@ def summarise(scores: Scores, protocol: ProtocolName) -> dict[str, float]:
 
 
 def paper_means(epe_rows: np.ndarray) -> tuple[float, float]:
-    """Mean error (mm) and AUC (0..1) as the paper's code has them, faults included.
+    """Return mean error (mm) and AUC (0..1) as the paper's code has them, faults included.
 
     epe_rows: (N, P) mm, NaN where a point is not labelled or the hand was missed. Alignment: as in the
     rows. Zimmermann and Brox 2017's `EvalUtil` keeps one list per joint; the paper (arXiv 2506.11133)
@@ -149,13 +150,14 @@ def _strict(scores: Scores) -> dict[str, float]:
 
 
 def _auc(errors: np.ndarray, missed: np.ndarray) -> float:
-    """AUC of errors (N, 21) in mm, NaN where there is none, and of labelled points (M, 21) of `missed` hands,
-    which are wrong at every threshold."""
+    """Return the AUC, 0..1, of errors (N, 21) in mm, NaN where there is none, and of labelled points (M, 21)
+    of `missed` hands, which are wrong at every threshold."""
     return auc(pck_curve(errors, PCK_THRESHOLDS_MM, misses=int(missed.sum())), PCK_THRESHOLDS_MM)
 
 
 def _doubt(expected: pd.Series, errors: pd.Series) -> dict[str, float]:
-    """How well expected errors (N,) predict true ones, both in mm; hands without either are left out."""
+    """Measure how well expected errors (N,) predict true ones, both in mm; hands without either are left
+    out."""
     known = expected.notna() & errors.notna()
     wrong, doubted = errors > 1000.0 * DOUBT.wrong_error, 100.0 * (expected > 1000.0 * DOUBT.doubtful_error)
     return {
@@ -166,7 +168,8 @@ def _doubt(expected: pd.Series, errors: pd.Series) -> dict[str, float]:
 
 
 def _jitter(scores: Scores) -> float:
-    """The jitter of each hand of each clip, averaged with the number of its detected frames as weight."""
+    """Return the jitter in mm of each hand of each clip, averaged with the number of its detected frames as
+    weight."""
     clips = scores.hands.groupby(["clip", "hand"], sort=False).indices.values()
     values = np.array([_jitter_of(scores, np.asarray(rows)) for rows in clips]).reshape(-1, 2)
     jitter, frames = values[np.isfinite(values[:, 0])].T
@@ -174,7 +177,7 @@ def _jitter(scores: Scores) -> float:
 
 
 def _jitter_of(scores: Scores, rows: np.ndarray) -> tuple[float, int]:
-    """The jitter in mm of one hand of one clip, and the number of its detected frames."""
+    """Return the jitter in mm of one hand of one clip, and the number of its detected frames."""
     points, truth = scores.points_3d[rows], scores.labels_3d[rows]
     times = scores.hands["time"].to_numpy()[rows]
     frames = int(labelled_points(points).all(axis=1).sum())
@@ -189,7 +192,8 @@ def _jitter_of(scores: Scores, rows: np.ndarray) -> tuple[float, int]:
 
 
 def compare(first: Scores, second: Scores, metric: str, *, resamples: int = 2000) -> Comparison:
-    """Mean over hands of first - second with its 95 % bootstrap interval, on the hands that both have.
+    """Return the mean over hands of first - second with its 95 % bootstrap interval, on the hands that both
+    have.
 
     The interval is a cluster bootstrap's (Davison and Hinkley 1997, section 3.8; the percentile interval is
     Efron's): what is drawn with replacement are pictures and whole clips, not hands. SciPy's `bootstrap`
@@ -213,8 +217,8 @@ def compare(first: Scores, second: Scores, metric: str, *, resamples: int = 2000
 
 
 def _interval(totals: np.ndarray, sizes: np.ndarray, resamples: int) -> tuple[float, float]:
-    """2.5 and 97.5 % points of the mean over all hands, when units with these (N,) totals and numbers of
-    hands are drawn anew."""
+    """Return the 2.5 and 97.5 % points of the mean over all hands, when units with these (N,) totals and
+    numbers of hands are drawn anew."""
     units = len(totals)
     if units < 2:
         return float("nan"), float("nan")

@@ -37,7 +37,8 @@ from handfit_core.take import Take
 
 KIND: Final = "two-cameras"
 TOLD: Final = ("nothing", "lenses", "cameras")
-"""What a capture is given: clips alone, the cameras' lenses, or their lenses and places"""
+"""The kinds of knowledge that a capture is given: clips alone, the cameras' lenses, or their lenses and
+places"""
 TRUTH: Final = "gt.json"
 _KEYS: Final = {"clip", "side", "fps", "offset", "K_a", "K_b", "R", "t", "joints3d"}
 _ALIGNMENTS: Final = {
@@ -59,7 +60,7 @@ class FilmedClip:
 
 
 def is_two_cameras(folder: Path) -> bool:
-    """True if a folder, or a folder in it, has clips of two cameras."""
+    """Return whether a folder, or a folder in it, has clips of two cameras."""
     return bool(_truths(folder))
 
 
@@ -70,8 +71,8 @@ def _truths(folder: Path) -> list[Path]:
 def evaluate_views(
     folder: Path, options: CaptureOptions, progress: Callable[[str, int, int], None]
 ) -> pd.DataFrame:
-    """A row for each pair of clips with each of `TOLD`, and with nothing told also for pairs that do not
-    belong together (`belongs` is False there).
+    """Make a table with a row for each pair of clips with each of `TOLD`, and with nothing told also for
+    pairs that do not belong together (`belongs` is False there).
 
     Raises DatasetError, and what captures raise.
     """
@@ -169,7 +170,7 @@ def _row(first: FilmedClip, second: FilmedClip, take: Take, seconds: float) -> d
 
 
 def _errors(take: Take, side: str, truth: np.ndarray) -> dict[str, float]:
-    """Mean distances in mm over the frames in which the take has a hand of that side."""
+    """Return mean distances in mm over the frames in which the take has a hand of that side, by metric."""
     hands = [hand for hand in take.hands if hand.side == side]
     if not hands:
         return {}
@@ -179,8 +180,8 @@ def _errors(take: Take, side: str, truth: np.ndarray) -> dict[str, float]:
 
 
 def views_table(rows: pd.DataFrame) -> str:
-    """The rows' means and largest values, and how many pairs got which verdict: lengths in mm, offsets in
-    frames, angles in degrees, the time of a processor beyond both captures in seconds."""
+    """Return a text with the rows' means and largest values, and how many pairs got which verdict: lengths in
+    mm, offsets in frames, angles in degrees, the time of a processor beyond both captures in seconds."""
     own = rows[rows["belongs"]]
     numbers = own.select_dtypes("number").columns
     groups = pd.concat([own, own.assign(group="all")]).groupby(["told", "group"], sort=False)

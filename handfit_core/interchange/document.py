@@ -35,23 +35,23 @@ _LONG_NUMBER: Final = re.compile(rb"\d{%d}" % LIMITS.digits)
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """What a CSV file holds: named columns of numbers and texts."""
+    """The content of a CSV file: named columns of numbers and texts."""
 
     columns: tuple[str, ...]
     rows: list[list[str]]
-    """Each as long as `columns`"""
+    """The table's R rows of texts, each as long as `columns`"""
     is_trc: bool = False
-    """True if it was a .trc, whose markers' names are in `columns`"""
+    """True if the file was a .trc, whose markers' names are in `columns`"""
 
     def texts(self, column: str) -> list[str]:
-        """One column. Raises KeyError where there is none of that name."""
+        """Return the R texts of one column. Raises KeyError where there is none of that name."""
         if column not in self.columns:
             raise KeyError(column)
         index = self.columns.index(column)
         return [row[index].strip() for row in self.rows]
 
     def numbers(self, columns: Sequence[str]) -> np.ndarray:
-        """(R, len(columns)) floats, NaN where a cell is empty or no number. Raises KeyError."""
+        """Return (R, len(columns)) floats, NaN where a cell is empty or no number. Raises KeyError."""
         numbers = np.array([[_number(cell) for cell in self.texts(name)] for name in columns])
         return numbers.reshape(len(columns), -1).T
 
@@ -65,15 +65,16 @@ def _number(cell: str) -> float:
 
 
 class Document:
-    """A file or folder. What it cannot be read as is None, whatever is wrong with it; a file that cannot be
-    read at all, or holds more than `LIMITS` allow, raises InputError."""
+    """A file or folder and its contents in every form that readers ask for. A form in which it cannot be read
+    is None, whatever is wrong with it; a file that cannot be read at all, or holds more than `LIMITS` allow,
+    raises InputError."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = path_of(path)
         self.cut = ""
-        """What is said of a file that breaks off, once it was read"""
+        """A phrase for the user about a file that breaks off, set once the file was read; else empty"""
         self.has_lines = False
-        """True once a file was read that has a text of JSON a line"""
+        """True once a file was read that has a JSON text on each line"""
         self.is_folder = os.path.isdir(self.path)  # noqa: PTH112  (raises for no name, however long)
 
     def _refuse(self, what: str) -> NoReturn:
@@ -81,12 +82,12 @@ class Document:
 
     @property
     def suffix(self) -> str:
-        """The name's ending, in small letters; empty for a folder."""
+        """The ending of the file's name, in small letters; empty for a folder."""
         return "" if self.is_folder else self.path.suffix.lower()
 
     @cached_property
     def bytes(self) -> bytes:
-        """The file's contents; nothing of a folder's. Raises InputError."""
+        """The file's contents; empty for a folder. Raises InputError."""
         if self.is_folder:
             return b""
         try:
@@ -96,7 +97,7 @@ class Document:
 
     @cached_property
     def text(self) -> str | None:
-        """The file as UTF-8."""
+        """The file's text, decoded as UTF-8; None where it is no UTF-8."""
         try:
             return self.bytes.decode("utf-8-sig")
         except UnicodeDecodeError:
@@ -113,7 +114,7 @@ class Document:
             self._refuse(f"it has a number of {LIMITS.digits} digits or more, which no program writes")
 
     def _checked(self, content: Any) -> Any:
-        """What a JSON text holds. Raises InputError beyond the limits."""
+        """Return what a JSON text holds. Raises InputError beyond the limits."""
         level = [content]
         for _ in range(LIMITS.depth):
             below: list[Any] = []
@@ -135,7 +136,8 @@ class Document:
 
     @cached_property
     def json(self) -> Any:
-        """The list or object in a JSON file, or the list of those in a file with one a line (.jsonl)."""
+        """The list or object in a JSON file, or, of a file with a JSON text on each line (.jsonl), the list
+        of these."""
         start = self.bytes[:64].removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
         if start not in (b"{", b"["):
             return None
@@ -146,7 +148,8 @@ class Document:
         return None
 
     def _lines(self, text: str) -> list[Any]:
-        """What a text with one of JSON a line holds, of which the last may break off. Raises ValueError."""
+        """Return what the lines of a text hold that each are JSON; the last one may break off. Raises
+        ValueError."""
         *texts, last = [line for line in text.splitlines() if line.strip()]
         told = [json.loads(line) for line in texts]
         try:
@@ -160,7 +163,8 @@ class Document:
 
     @cached_property
     def table(self) -> Table | None:
-        """What a CSV file with a line of names holds; None also where lines differ in length."""
+        """The content of a CSV file whose first line names its columns; None also where lines differ in
+        length."""
         is_trc = self.bytes[:12] == b"PathFileType"
         if self.suffix not in (".csv", ".tsv", ".txt", ".trc") and not is_trc:
             return None
@@ -188,14 +192,14 @@ class Document:
 
     @property
     def _delimiter(self) -> str:
-        """What stands between a table's cells, by its first lines."""
+        """Return the character that separates a table's cells, by its first lines."""
         start = self.bytes[:4096]
         most = max((",", "\t", ";"), key=lambda sign: start.count(sign.encode()))
         return most if most.encode() in start else " "
 
     @cached_property
     def numbers(self) -> np.ndarray | None:
-        """(R, C) numbers of a table whose columns have no names, or are x, y and maybe z alone."""
+        """The (R, C) numbers of a table whose columns have no names, or are x, y and maybe z alone."""
         if self.suffix not in (".csv", ".tsv", ".txt") or self.table is None:
             return None
         if "".join(self.table.columns).lower() in ("xy", "xyz"):
@@ -230,18 +234,19 @@ class Document:
 
     @property
     def _torch(self) -> str | None:
-        """Where in a zip of PyTorch its pickle and its storages lie; None of all else."""
+        """The place in a zip of PyTorch at which its pickle and its storages lie; None for all other
+        files."""
         names = self._zip.names if self._zip else ()
         return next((name[:-8] for name in names if name == "data.pkl" or name.endswith("/data.pkl")), None)
 
     @property
     def npz(self) -> NpzArchive | None:
-        """The arrays of a .npz."""
+        """The arrays of a .npz; None for all other files."""
         return None if self._torch is not None else self._zip
 
     @cached_property
     def npy(self) -> np.ndarray | None:
-        """The numbers of a .npy, floats as float64."""
+        """The numbers of a .npy, floats as float64; None for all other files."""
         try:
             is_npy = self.bytes[:6] == _NPY
             return npy_array(self.bytes, "fiub", LIMITS.array_bytes) if is_npy else None
@@ -250,8 +255,8 @@ class Document:
 
     @cached_property
     def _unpickled(self) -> tuple[Any, str]:
-        """What Python objects a .npy, a pickle or a file of PyTorch holds, and why they cannot be had; both
-        empty of others."""
+        """The Python objects that a .npy, a pickle or a file of PyTorch holds, and the reason why they cannot
+        be had; both empty for all other files."""
         try:
             if self._zip is not None and self._torch is not None:
                 return self._of_torch(self._zip, self._torch), ""
@@ -267,7 +272,7 @@ class Document:
 
     @staticmethod
     def _of_torch(archive: NpzArchive, within: str) -> Any:
-        """What a zip of PyTorch holds. Raises NotNpz and Refused."""
+        """Return what a zip of PyTorch holds. Raises NotNpz and Refused."""
         order = f"{within}byteorder"
         if order in archive and archive.contents(order) != b"little":
             raise safe_pickle.Refused("has its bytes in an order that is not read")
@@ -276,25 +281,25 @@ class Document:
 
     @property
     def objects(self) -> Any:
-        """What Python objects a .npy, a pickle (also joblib's) or a file of PyTorch holds: dictionaries,
+        """The Python objects that a .npy, a pickle (also joblib's) or a file of PyTorch holds: dictionaries,
         lists, texts, numbers and arrays. They are read without running anything in the file."""
         return self._unpickled[0]
 
     @property
     def held(self) -> Any:
-        """What a JSON file, a .npy, a pickle or a file of PyTorch holds as objects."""
+        """The content of a JSON file, or the objects of a .npy, a pickle or a file of PyTorch."""
         return self.json if self.json is not None else self.objects
 
     @property
     def names(self) -> list[str]:
-        """Of the arrays of a .npz, or the keys of a dictionary in JSON, a .npy or a pickle."""
+        """The names of the arrays of a .npz, or the keys of a dictionary in JSON, a .npy or a pickle."""
         if self.npz is not None:
             return self.npz.names
         return list(self.held) if isinstance(self.held, dict) else []
 
     def value(self, name: str) -> Any:
-        """What stands under one of the `names`: an array, a text, or a dictionary or list of such; None where
-        there is none. Raises InputError for what cannot be read."""
+        """Return the value that stands under one of the `names`: an array, a text, or a dictionary or list of
+        such; None where there is none. Raises InputError for what cannot be read."""
         if self.npz is None:
             return self.held.get(name) if isinstance(self.held, dict) else None
         if name not in self.npz:
@@ -310,7 +315,7 @@ class Document:
                 raise InputError(f"{shown(self.path)}: refused: its {name} {reason}") from error
 
     def array(self, name: str, kinds: str = "fiub") -> np.ndarray:
-        """One array of a .npz, floats as float64. Raises InputError where it is missing or damaged."""
+        """Return one array of a .npz, floats as float64. Raises InputError where it is missing or damaged."""
         if self.npz is None:
             self._refuse("not an .npz, or a damaged one")
         try:
@@ -321,7 +326,8 @@ class Document:
             raise InputError(f"{shown(self.path)}: this file {error}") from error
 
     def files(self, *suffixes: str) -> list[Path]:
-        """The files of a folder with one of these endings, by name; none of a file. Raises InputError."""
+        """Return the files of a folder with one of these endings, sorted by name; none for a file. Raises
+        InputError."""
         if not self.is_folder:
             return []
         try:
@@ -345,7 +351,8 @@ class Document:
 
     @property
     def found(self) -> str:
-        """What it is by its content, and what can be done where it is something that is not read."""
+        """Return a phrase for the user: what the file or folder is by its content, and what can be done where
+        it is of a kind that is not read."""
         if self.is_folder:
             counts = {ending: len(self.files(ending)) for ending in _COUNTED}
             some = [f"{count} {ending}" for ending, count in counts.items() if count]
@@ -427,7 +434,7 @@ _OTHERS: Final = (
     (b"\xfd7zXZ", "an xz archive; unpack it first"),
     (b"\x02P", "a C3D; export its markers as .trc"),
 )
-"""What files begin with that are not read"""
+"""The bytes with which files of kinds begin that are not read"""
 _NAMED: Final = (
     ("hands_components", "MANO's own model, which is given as --model"),
     ("pred_vertices", "surfaces without MANO's parameters; have the program save pred_mano_params, too"),
@@ -435,11 +442,11 @@ _NAMED: Final = (
     ("root_orient pose_body", "a body of SMPL without hands"),
     ("pose_world trans_world", "a body of SMPL without hands"),
 )
-"""What arrays or keys tell of files whose hands no reader knows"""
+"""The arrays or keys by which files are told whose hands no reader knows"""
 
 
 def _damage(text: str) -> str:
-    """What is wrong with a JSON text, or with lines of it."""
+    """Return a phrase about what is wrong with a JSON text, or with lines of it."""
     for number, line in enumerate((line for line in text.splitlines() if line.strip()), 1):
         try:
             json.loads(line)
@@ -477,8 +484,8 @@ def _with_one_line_of_names(rows: list[list[str]]) -> list[list[str]]:
 
 
 def _rows_of_trc(rows: list[list[str]]) -> list[list[str]]:
-    """A .trc's rows as those of a table with a line of names: frame, time, and MARKER_x, _y, _z of each
-    marker."""
+    """Return a .trc's rows as those of a table with a line of names: frame, time, and MARKER_x, _y, _z of
+    each marker."""
     if len(rows) < 5:
         return []
     markers = [name.strip() for name in rows[3][2:] if name.strip()]
@@ -488,7 +495,8 @@ def _rows_of_trc(rows: list[list[str]]) -> list[list[str]]:
 
 
 def _memory_of_json(data: bytes) -> int:
-    """Bytes that what is in a JSON text takes at most, roughly, by signs that may also stand in quotes."""
+    """Return how many bytes what is in a JSON text takes in memory at most, roughly, by signs that may also
+    stand in quotes."""
     lists, objects, items, quotes, names = (data.count(sign) for sign in (b"[", b"{", b",", b'"', b":"))
     # Objects that are many have the same names, which are kept once; those of very many names have their own.
     own = max(0, names - 32 * objects)
@@ -496,7 +504,8 @@ def _memory_of_json(data: bytes) -> int:
 
 
 def _inflated(data: bytes) -> bytes:
-    """The pickle that zlib or gzip has compressed, as joblib does; nothing of all else. Raises Refused."""
+    """Return the pickle that zlib or gzip has compressed, as joblib does; empty for all other data. Raises
+    Refused."""
     wrapped = zlib.MAX_WBITS | 32
     try:
         if zlib.decompressobj(wrapped).decompress(data[:4096], 1) != b"\x80":
@@ -514,7 +523,8 @@ def _inflated(data: bytes) -> bytes:
 
 
 def _plain_of(data: bytes, contents: Callable[[str], bytes] | None = None) -> Any:
-    """What a pickle holds; `contents` as in `safe_pickle.load`. Raises Refused, also if it is damaged."""
+    """Return what a pickle holds; `contents` as in `safe_pickle.load`. Raises Refused, also if it is
+    damaged."""
     if len(data) > LIMITS.array_bytes:
         raise safe_pickle.Refused("is larger than such files are")
     try:
@@ -527,14 +537,14 @@ def _plain_of(data: bytes, contents: Callable[[str], bytes] | None = None) -> An
 
 
 def _held(value: Any) -> str:
-    """What an object of JSON or Python has in it."""
+    """Return a phrase about what an object of JSON or Python has in it."""
     if isinstance(value, dict):
         return _some(value)
     return f"a list of {len(value)}" if isinstance(value, list) else "a single value"
 
 
 def _some(names: Iterable[Any]) -> str:
-    """The first of the names, and how many more there are."""
+    """Return a phrase with the first of the names, and how many more there are."""
     names = [shown(str(name)[:40]) for name in names]
     listed = ", ".join(names[:8]) or "nothing"
     return listed + (f" and {len(names) - 8} more" if len(names) > 8 else "")

@@ -23,14 +23,15 @@ class EveryFrame:
     numbers: np.ndarray
     """(F,) int: the take's frame numbers, and those between that it lacks"""
     fps: float
-    """Of the frames in equal steps"""
+    """Frames per second of the frames in equal steps"""
     hands: Mapping[Side, HandMotion]
     present: Mapping[Side, np.ndarray]
-    """(F,) bool: where the take has each hand"""
+    """For each side, (F,) bool: the frames in which the take has that hand"""
 
     @classmethod
     def of(cls, take: Take) -> EveryFrame:
-        """Of several hands of one side the one that is seen longest is taken, and a warning says so."""
+        """Make the hands of a take on frames in equal steps. Of several hands of one side the one that is
+        seen longest is taken, and a warning says so."""
         given = np.asarray(take.frame_numbers)
         step = int(np.gcd.reduce(np.diff(given))) if len(given) > 1 else 1
         count = (int(given[-1]) - int(given[0])) // step + 1

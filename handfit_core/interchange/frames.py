@@ -30,30 +30,30 @@ _PICTURES: Final = (".jpg", ".jpeg", ".png", ".bmp")
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """T frames of a file, in order."""
+    """The T frames of a file of points, in order."""
 
     numbers: np.ndarray
-    """(T,) int, increasing"""
+    """(T,) int, increasing: the frames' numbers"""
     contents: list[Any]
-    """(T) what the file has for each, as in JSON"""
+    """For each of the T frames what the file has about it, as JSON values"""
     header: dict[str, Any] = field(default_factory=dict)
-    """What stands beside the frames, by plain keys"""
+    """The values that stand beside the frames in the file, by plain keys"""
     assumed: tuple[str, ...] = ()
     intrinsics: Intrinsics | None = None
     order: str = ""
-    """Of `ORDERS`, as the file tells; empty: it does not"""
+    """The order of the points, a key of `ORDERS`, as the file tells it; empty where it does not"""
     in_space: bool = False
-    """True if points are in space, rather than in the plane with a depth"""
+    """True if points are in space, rather than in the picture plane with a depth"""
     mirrored: bool = False
-    """True if sides count for mirrored pictures"""
+    """True if the file's sides hold for mirrored pictures, so that left and right must be swapped"""
     halved: bool = False
-    """True if parts of the picture's size are from -1 to 1, rather than from 0"""
+    """True if parts of the picture's size go from -1 to 1, rather than from 0 to 1"""
     guessed: bool = False
     """True if which hand is the left one is guessed by its place in a list"""
 
     @property
     def fps(self) -> float:
-        """Frames per second, by the header or the frames' times; 0: not told."""
+        """Frames per second, by the header or the frames' times; 0 where the file does not tell."""
         for key in ("fps", "framerate", "framespersecond"):
             told = self.header.get(key)
             if isinstance(told, int | float) and not isinstance(told, bool) and 1e-3 < told < 1e6:
@@ -67,7 +67,8 @@ class Frames:
 
     @property
     def size(self) -> tuple[int, int] | None:
-        """The pictures' size, by the header or the first frame; None: not told."""
+        """The pictures' (width, height) in pixels, by the header or the first frame; None where the file does
+        not tell."""
         images = self.header.get("images")
         picture = keyed(images[0]) if isinstance(images, list) and images else {}
         for of in (self.header, picture, keyed(self.contents[0])):
@@ -79,8 +80,8 @@ class Frames:
 
 
 def rate_of(frames: np.ndarray, times: np.ndarray) -> float:
-    """Frames per second of frames (N,) at times (N,) in seconds, or in milli-, micro- or nanoseconds,
-    whichever makes it 1 or more; 0 where they tell none."""
+    """Return frames per second of frame numbers (N,) at times (N,) in seconds, or in milli-, micro- or
+    nanoseconds, whichever makes the rate 1 or more; 0 where they tell none."""
     there = np.isfinite(times)
     order = np.argsort(frames[there], kind="stable")
     steps, spent = np.diff(frames[there][order]), np.diff(times[there][order])
@@ -99,13 +100,14 @@ def rate_of(frames: np.ndarray, times: np.ndarray) -> float:
 
 
 def some_contents(document: Document) -> Iterator[Any]:
-    """A document's JSON, or that of a folder's first files, as those of frames without anybody say little."""
+    """Yield the JSON content of a document, or of several of a folder's first files, as frames in which
+    nobody is seen say little."""
     files = document.files(".json")[: LIMITS.looked_at]
     return (each.json for each in (map(Document, files) if document.is_folder else [document]))
 
 
 def objects_in(content: Any, most: int = 2000) -> Iterator[Mapping[str, Any]]:
-    """The objects in JSON, each before those within it, among the first `most` values."""
+    """Yield the objects in JSON, each before those within it, among the first `most` values."""
     waiting = [content]
     for _ in range(most):
         if not waiting:
@@ -120,8 +122,8 @@ def objects_in(content: Any, most: int = 2000) -> Iterator[Mapping[str, Any]]:
 
 
 def frames_of_json(document: Document, *, grouped: bool) -> Frames:
-    """The frames of a folder of JSON files, of a list, of an object with a list or with frames by their
-    numbers, or of a single frame. `grouped`: what has the same number belongs to one frame. Raises
+    """Return the frames of a folder of JSON files, of a list, of an object with a list or with frames by
+    their numbers, or of a single frame. `grouped`: what has the same number belongs to one frame. Raises
     InputError."""
     path = shown(document.path)
     if document.is_folder:
@@ -171,7 +173,8 @@ def in_order(
     *,
     grouped: bool = False,
 ) -> Frames:
-    """Frames by their numbers. Raises InputError where one comes twice, or there are none or too many."""
+    """Return the frames sorted by their numbers. Raises InputError where a number comes twice, or there are
+    no frames or too many."""
     if not len(told):
         raise InputError(f"{shown(document.path)}: there is no frame in it ({document.found})")
     if grouped and len(set(told)) < len(told):
@@ -190,9 +193,9 @@ def in_order(
 
 
 def _frame_files(document: Document) -> tuple[list[tuple[int, Path]], tuple[str, ...]]:
-    """The JSON files of a folder with the frames' numbers, which are the last numbers in their names, and
-    what was assumed. Where most have one, the others are left out; where most have none, all are counted from
-    1. Raises InputError for files of several sequences."""
+    """Return a folder's JSON files with the frames' numbers, which are the last numbers in their names, and
+    phrases about what was assumed. Where most have one, the others are left out; where most have none, all
+    are counted from 1. Raises InputError for files of several sequences."""
     files = document.files(".json")
     found = [(_last_number(file.stem), file) for file in files]
     numbered = [(match, file) for match, file in found if match]
@@ -222,7 +225,8 @@ def _digits(key: Any) -> bool:
 
 
 def _counted(key: Any) -> int | None:
-    """The frame that a key counts, or whose picture it names."""
+    """Return the number of the frame that a key counts, or whose picture it names; None where it does
+    neither."""
     if _digits(key):
         return int(key)
     is_picture = isinstance(key, str) and key.lower().endswith(_PICTURES)
@@ -230,7 +234,8 @@ def _counted(key: Any) -> int | None:
 
 
 def number_in(content: Any) -> int | None:
-    """The number of a frame that tells its own; a text's last number, as of a picture's name."""
+    """Return the number of a frame that tells its own: of a text its last number, as in a picture's name;
+    None where there is none."""
     of = keyed(content)
     for value in (of[key] for key in KEYS["frame"] if key in of):
         if isinstance(value, str) and (match := _last_number(value)):
@@ -246,13 +251,14 @@ def number_in(content: Any) -> int | None:
 
 
 def points_among(arrays: Mapping[str, np.ndarray | None]) -> dict[str, np.ndarray]:
-    """Those of the arrays that may be hands' points: (T, P, K, D), T frames of P hands or persons with K
-    points each."""
+    """Return those of the arrays that may be hands' points, as (T, P, K, D): T frames of P hands or persons
+    with K points of D numbers each."""
     return {name: laid for name, array in arrays.items() if (laid := _laid_out(array)) is not None}
 
 
 def _laid_out(array: np.ndarray | None) -> np.ndarray | None:
-    """An array as (T, P, K, D); None for one that can be no points of hands."""
+    """Return an array as (T, P, K, D): frames, hands or persons, points, numbers; None for one that can be no
+    points of hands."""
     counts = HANDS | set(WHOLE_BODIES)
     if array is None:
         return None
@@ -275,8 +281,8 @@ def _laid_out(array: np.ndarray | None) -> np.ndarray | None:
 def frames_of_arrays(
     document: Document, arrays: Mapping[str, np.ndarray | None], first: int
 ) -> Frames | None:
-    """The frames, counted from `first`, of arrays of points in a document; None where none are among them.
-    Raises ValueError."""
+    """Return the frames, counted from `first`, of arrays of points in a document; None where none are among
+    them. Raises ValueError."""
     arrays = points_among(arrays)
     widest = max((array.shape[-1] for array in arrays.values()), default=0)
     arrays = {name: array for name, array in arrays.items() if array.shape[-1] == widest}

@@ -54,12 +54,12 @@ _PARTS: Final = ("Proximal", "Intermediate", "Distal")
 
 
 def bone_names(side: Side) -> tuple[str, ...]:
-    """VRM 1.0's names of a hand's 16 bones, by MANO's joints."""
+    """Return VRM 1.0's names of a hand's 16 bones, in the order of MANO's joints."""
     return _named(side, ("Metacarpal", "Proximal", "Distal"))
 
 
 def unity_names(side: Side) -> tuple[str, ...]:
-    """The names in Unity's HumanBodyBones of a hand's 16 bones, by MANO's joints."""
+    """Return the names in Unity's HumanBodyBones of a hand's 16 bones, in the order of MANO's joints."""
     return _named(side.title(), _PARTS)
 
 
@@ -72,8 +72,8 @@ def _named(side: str, thumb: Sequence[str]) -> tuple[str, ...]:
 
 
 def humanoid_bones(heads: Mapping[Side, np.ndarray]) -> dict[str, tuple[str, np.ndarray]]:
-    """Every bone of a humanoid in the T-pose, by VRM's name: the bone that it hangs from, and where it
-    begins, metres in the humanoid frame. `heads`: what `t_pose` says of its hands."""
+    """Return every bone of a humanoid in the T-pose, by VRM's name: the bone that it hangs from, and where it
+    begins, in metres in the humanoid frame. `heads`: for each side the places that `t_pose` gives."""
     bones = {name: (parent, np.array(place)) for name, (parent, place) in BODY.items()}
     for side, places in heads.items():
         names = bone_names(side)
@@ -83,16 +83,16 @@ def humanoid_bones(heads: Mapping[Side, np.ndarray]) -> dict[str, tuple[str, np.
 
 @dataclass(frozen=True, eq=False)
 class HumanoidHand:
-    """What a hand does in N moments, as rotations of a humanoid's bones."""
+    """The motion of a hand at N times, as rotations of a humanoid's bones."""
 
     side: Side
     times: np.ndarray
-    """(N,) seconds, increasing"""
+    """(N,) seconds, increasing: the times of the rotations"""
     quats: dict[str, np.ndarray]
     """By VRM's name of a bone: (N, 4) quaternions (w, x, y, z), each relative to the bone's parent, in the
     humanoid frame; without the hand's own where nobody knows how it is turned to the forearm"""
     heads: np.ndarray
-    """(16, 3) metres: where bones begin in the T-pose, by MANO's joints"""
+    """(16, 3) metres in the humanoid frame: where bones begin in the T-pose, in the order of MANO's joints"""
 
     @classmethod
     def of(
@@ -104,7 +104,7 @@ class HumanoidHand:
         wrist: bool = False,
         joints: Sequence[int] = range(1, NUM_JOINTS),
     ) -> HumanoidHand:
-        """From what a captured hand does.
+        """Make the motion of a humanoid's hand of a captured hand's.
 
         `turns` (N, 16, 3, 3) as `TargetHand.local` takes them. `wrist`: turns[:, 0] is how the hand is turned
         relative to the forearm, in rest space, and is kept. Only bones of `joints` are turned.
@@ -119,8 +119,8 @@ class HumanoidHand:
 
 
 def t_pose(source: SourceHand) -> tuple[TargetHand, np.ndarray]:
-    """A humanoid's hand of the same size in VRM's T-pose, none of whose bones is turned, and where its bones
-    begin (16, 3), metres in the humanoid frame."""
+    """Return a humanoid's hand of the size of `source` in VRM's T-pose, none of whose bones is turned, and
+    where its bones begin, (16, 3) metres in the humanoid frame."""
     own, tips = source.joints @ REST_FROM_MODEL, source.tips @ REST_FROM_MODEL
     sideways = 1.0 if source.side == "left" else -1.0
     heads, ends = own.copy(), tips.copy()
@@ -145,7 +145,7 @@ def t_pose(source: SourceHand) -> tuple[TargetHand, np.ndarray]:
 
 
 def hands_of(take: Take, *, wrist: bool = False) -> list[HumanoidHand]:
-    """The hands of a take, in the frames that they are in, timed from the take's first frame.
+    """Return the hands of a take, in the frames that they are in, timed from the take's first frame.
 
     Pictures of a hand do not tell how it is turned to its forearm. `wrist`: take the hand as straight in its
     first frame, and the forearm as still. Raises OptionError for a take without hands or with several of a

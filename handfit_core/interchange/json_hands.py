@@ -17,11 +17,11 @@ PICTURE: Final = (
     "multihandlandmarks handlandmarks landmarks lmlist keypoints points joints landmark posekeypoints2d "
     "worldcoord keypoints2d"
 ).split()
-"""Plain keys of points in pictures"""
+"""Plain keys under which JSON has points in pictures"""
 WORLD: Final = (
     "multihandworldlandmarks handworldlandmarks worldlandmarks landmarksworld keypoints3d landmarks3d"
 ).split()
-"""Plain keys of points in metres about the hand's middle"""
+"""Plain keys under which JSON has points in metres about the hand's middle"""
 _OF_SIDE: Final = (
     "{}handlandmarks {} {}hand hand{}keypoints2d hand{}keypoints {}handkpts {}handkeypoints".split()
 )
@@ -30,36 +30,36 @@ _CHIRALITY: Final = {-1: SIDES[0], 1: SIDES[1]}
 _PLACE: Final = "position location pos p translation".split()
 _TURN: Final = "orientation rotation quaternion rot q".split()
 _AXES: Final = "xyzcijkw"
-"""Of a point: its place, how sure it is, and a quaternion"""
+"""Letters of a point's eight numbers: its place x, y, z, its confidence c, and a quaternion i, j, k, w"""
 
 
 class JsonHand(NamedTuple):
-    """One hand of one frame, or people's both, as it is told."""
+    """One hand of one frame, or both hands of a person in one list, as the file tells it."""
 
     side: Side | None
     number: int
-    """Which of a frame's hands, where the file counts them"""
+    """The number of the hand within its frame, where the file counts hands"""
     score: float
-    """NaN: not told"""
+    """How sure the program is of the hand, 0..1; NaN where the file does not tell"""
     points: np.ndarray
     """(N, 8) x, y, z, how sure it is, and a quaternion x, y, z, w, in the file's order; NaN: not told"""
     world: np.ndarray
-    """(N, 3) metres; NaN: not told"""
+    """(N, 3) metres about the hand's middle; NaN where the file does not tell"""
     named: bool
-    """True if its points are named, and stand in MediaPipe's order"""
+    """True if the hand's points are named, and stand in MediaPipe's order"""
     mirrored: bool
-    """True if the side counts for mirrored pictures"""
+    """True if the side holds for mirrored pictures, so that left and right must be swapped"""
 
 
 def keyed(content: Any) -> dict[str, Any]:
-    """An object's values by their plain keys; nothing for anything else."""
+    """Return an object's values by their plain keys; an empty dictionary for anything else."""
     return {plain(key): value for key, value in content.items()} if isinstance(content, Mapping) else {}
 
 
 def hands_in(content: Any, columns: Mapping[int, str], depth: int = 0) -> Iterator[JsonHand]:
-    """The hands of one frame's JSON. `columns`: what stands in lists of so many numbers, by letters of x, y,
-    z, c (the confidence) and i, j, k, w (a quaternion). Raises ValueError and TypeError for what is no list
-    of points."""
+    """Yield the hands of one frame's JSON. `columns`: the meaning of lists of so many numbers, by letters of
+    x, y, z, c (the confidence) and i, j, k, w (a quaternion). Raises ValueError and TypeError for what is no
+    list of points."""
     if depth > 4 or content is None:
         return
     of = keyed(content)
@@ -98,7 +98,8 @@ def _some(value: Any) -> bool:
 
 
 def _sides_in(of: Mapping[str, Any]) -> list[Any]:
-    """What is told of each hand's side. Only Apple's chirality tells it by a number: others count hands."""
+    """Return what a frame tells of each hand's side. Only Apple's chirality tells it by a number: others
+    count hands."""
     for key in KEYS["side"]:
         told = of.get(key)
         labels = told if isinstance(told, list) else [told]
@@ -144,7 +145,8 @@ def _several(
 
 
 def _label(entry: Any) -> tuple[Side | None, float | None]:
-    """The side and how sure it is, of a text or of MediaPipe's categories."""
+    """Return the side and how sure it is, 0..1, of a text or of MediaPipe's categories; None where not
+    told."""
     while isinstance(entry, list):
         entry = entry[0] if entry else None
     if isinstance(entry, str):
@@ -158,19 +160,19 @@ def _label(entry: Any) -> tuple[Side | None, float | None]:
 
 
 def _as_hands(value: Any) -> list[Any]:
-    """A list of hands, whether one or several are told."""
+    """Return a list of hands, whether the value tells one or several."""
     if isinstance(value, list) and not is_hand(value) and not _flat(value):
         return value[: LIMITS.hands]
     return [value] if value is not None and _some(value) else []
 
 
 def _flat(value: list[Any]) -> bool:
-    """True if numbers of points follow one another without lists; some may be null."""
+    """Return whether the numbers of all points follow one another in one list; some may be null."""
     return any(isinstance(each, int | float) for each in value[:9])
 
 
 def is_hand(value: Any) -> bool:
-    """True if this is one hand rather than a list of hands."""
+    """Return whether a value is one hand rather than a list of hands."""
     value = _pointwise(value)
     if isinstance(value, Mapping):
         places = [
@@ -188,8 +190,8 @@ def is_hand(value: Any) -> bool:
 
 
 def _pointwise(value: Any) -> Any:
-    """The points of a hand whose x, y and z stand in lists, or by numbers, of their own, as pandas writes
-    tables; anything else as it is."""
+    """Return the points, one after the other, of a hand whose x, y and z stand in lists of their own, or by
+    numbers, as pandas writes tables; anything else as it is."""
     of = keyed(value)
     axes = [list(of[a].values()) if isinstance(of[a], Mapping) else of[a] for a in "xyz" if a in of]
     if len(axes) < 2 or not all(isinstance(axis, list) and len(axis) in HANDS for axis in axes):
@@ -198,14 +200,14 @@ def _pointwise(value: Any) -> Any:
 
 
 def _is_frame(key: str, value: Any) -> bool:
-    """True if a key counts a frame, which has lists or objects in it, rather than a point."""
+    """Return whether a key counts a frame, which has lists or objects in it, rather than a point."""
     within = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
     return key.isdigit() and (len(within) > 8 or any(isinstance(each, list | Mapping) for each in within))
 
 
 def _numbers(hand: Any, columns: Mapping[int, str]) -> tuple[np.ndarray, bool]:
-    """(N, 8) `_AXES` of whatever stands for points, and whether their names tell which they are. Raises
-    ValueError, TypeError."""
+    """Return the numbers (N, 8) in the order of `_AXES` of whatever stands for points, and whether their
+    names tell which points they are. Raises ValueError, TypeError."""
     if isinstance(hand, np.ndarray):
         return np.pad(hand, ((0, 0), (0, len(_AXES) - hand.shape[1])), constant_values=np.nan), False
     if isinstance(hand, Mapping) and "landmark" in hand:
@@ -237,7 +239,7 @@ def _numbers(hand: Any, columns: Mapping[int, str]) -> tuple[np.ndarray, bool]:
 
 
 def _point(value: Any, columns: Mapping[int, str]) -> list[Any]:
-    """`_AXES` of a point; None: not told."""
+    """Return a point's numbers in the order of `_AXES`; None for those that are not told."""
     if isinstance(value, list):
         if len(value) not in columns:
             raise ValueError(f"a point of {len(value)} numbers; expected {' or '.join(columns.values())}")
@@ -254,7 +256,8 @@ def _point(value: Any, columns: Mapping[int, str]) -> list[Any]:
 
 
 def _axes_of(told: Any, names: str) -> list[Any]:
-    """The numbers of an object or a list, of which there may be more or fewer."""
+    """Return the numbers of an object or a list for these letters; the list may have more numbers, or
+    fewer."""
     if isinstance(told, list):
         return [*told, None, None, None, None][: len(names)]
     of = keyed(told)

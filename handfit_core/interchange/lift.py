@@ -25,16 +25,17 @@ FEATURES: Final = 4 * NUM_KEYPOINTS
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """How hands lie in the canonical frame: what single missing points are first guessed from."""
+    """The normal distribution of hands' points in the canonical frame, by which missing points are first
+    guessed."""
 
     mean: np.ndarray
-    """(42,) x and y of the points"""
+    """(42,) mean of x and y of the 21 points, in hand sizes"""
     covariance: np.ndarray
-    """(42, 42)"""
+    """(42, 42) covariance of x and y of the 21 points"""
 
     def filled(self, points: np.ndarray, sure: np.ndarray) -> np.ndarray:
-        """Points (N, 21, 2), with those that are not `sure` (N, 21) where they are likeliest, were hands
-        normally distributed: m + C_mk C_kk^-1 (k - m)."""
+        """Return points (N, 21, 2) in which those that are not `sure`, (N, 21) bool, lie where they are
+        likeliest, were hands normally distributed: m + C_mk C_kk^-1 (k - m)."""
         there = np.repeat(sure, 2, axis=1).astype(np.float64)
         among = self.covariance * there[:, :, None] * there[:, None]
         # A missing point's own row says that nothing pulls at it.
@@ -48,8 +49,9 @@ class Plane:
 def canonical_plane(
     plane: Plane, keypoints: np.ndarray, confidence: np.ndarray, left: np.ndarray
 ) -> Canonical:
-    """Keypoints (N, 21, 2) in pixels, NaN where missing, of which every hand has some, with their confidence
-    (N, 21) and `left` (N,) bool: as of right hands, upright, centred, of unit size, without depth.
+    """Bring keypoints (N, 21, 2) in pixels, NaN where missing, of which every hand has some, with their
+    confidence (N, 21) and `left`, (N,) bool, into the canonical frame: as of right hands, upright, centred,
+    of unit size, without depth.
 
     Features are the points, those that are missing as `plane` guesses them, whether each was there, and its
     confidence.
@@ -81,21 +83,22 @@ def _with_zero(points: np.ndarray) -> np.ndarray:
 
 
 def _frame(points: np.ndarray, left: np.ndarray) -> Canonical:
-    """The canonical frame of complete points (N, 21, 2)."""
+    """Return the canonical frame of complete points (N, 21, 2) in pixels; `left`, (N,) bool, tells left
+    hands."""
     confident = np.ones(len(points))
     return canonical_arrays(_with_zero(points), _with_zero(points), left, confident)
 
 
 class Lifter:
-    """What was learned."""
+    """The trained network that gives keypoints in the plane a depth, and places to missing ones."""
 
     def __init__(self, arrays: dict[str, np.ndarray]) -> None:
         self.plane = Plane(*(arrays[name].astype(np.float64) for name in ("plane_mean", "plane_covariance")))
         self._layers = Layers(arrays)
 
     def __call__(self, keypoints: np.ndarray, confidence: np.ndarray, left: np.ndarray) -> np.ndarray:
-        """Keypoints as `canonical_plane` takes them -> (N, 21, 3) pixels where they rather are, and depth in
-        pixels."""
+        """Return (N, 21, 3) of keypoints as `canonical_plane` takes them: pixels where they rather are, and
+        depth in pixels."""
         seen = canonical_plane(self.plane, keypoints, confidence, left)
         said = self._layers(seen.features).reshape(-1, NUM_KEYPOINTS, 3)
         return seen.to_picture(seen.fused + said)
@@ -103,14 +106,15 @@ class Lifter:
 
 @lru_cache(maxsize=1)
 def lifter() -> Lifter:
-    """What ships with the package."""
+    """Return the lifter that ships with the package."""
     with np.load(Path(__file__).parent / "data" / "lift_network.npz", allow_pickle=False) as arrays:
         return Lifter(dict(arrays))
 
 
 def lifted(hands: SeenHands) -> Detections:
-    """N hands as detections: what was seen, with depth and world landmarks. Those are kept where they
-    are known; else the lifter tells the depth, and the world is that of a hand of average size.
+    """Return N hands as detections: what was seen, with depth and world landmarks. These two are kept where
+    they are known; else the lifter tells the depth, and the world landmarks are those of a hand of average
+    size.
 
     Every hand has some points that are seen. Those that are missing lie where the lifter guesses them, and
     are `overlapped`, so that they are believed less, as are seen ones of which the program is far less sure

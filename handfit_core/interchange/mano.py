@@ -31,15 +31,15 @@ from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.take import TAKE_LIMITS
 
 POSE: Final = 45
-"""Numbers of a hand's pose, axis-angle"""
+"""Numbers of a hand's pose: three axis-angle numbers in radians for each of 15 joints"""
 
 Counted = Literal["flat", "mean"]
 """The zero of poses: the flat hand, or the mean pose of MANO"""
 
 
 def numbers(name: str, value: Any, *shape: int) -> np.ndarray:
-    """(N, *shape) floats of an array or of nested lists, however its axes are split or joined: (1, T, 15, 3)
-    is (T, 45), too. What is not finite is NaN. Raises Unfit."""
+    """Return (N, *shape) floats of an array or of nested lists, however its axes are split or joined: (1, T,
+    15, 3) becomes (T, 45), too. Entries that are not finite become NaN. Raises Unfit."""
     wanted = "x".join(["N", *map(str, shape)])
     try:
         array = np.asarray(value, dtype=np.float64)
@@ -78,7 +78,8 @@ def rotations(name: str, value: Any, joints: int, count: int | None = None) -> n
 
 
 def checked_matrices(name: str, matrices: np.ndarray) -> np.ndarray:
-    """Matrices that are rotations but for their rounding. Raises Unfit."""
+    """Return matrices (..., 3, 3) as they are after checking that they are rotations but for their rounding.
+    Raises Unfit."""
     for part in slices(len(matrices)):
         told = matrices[part][np.isfinite(matrices[part]).all(axis=(-1, -2))]
         # What the elements of R R^T may differ from those of I
@@ -89,8 +90,8 @@ def checked_matrices(name: str, matrices: np.ndarray) -> np.ndarray:
 
 
 def own_model(asked: ReadOptions, side: Side, needed: str) -> HandModel:
-    """The user's MANO model. Raises OptionError, with what is `needed` of it, where there is none, and
-    HandModelError."""
+    """Load the user's MANO model of a side. Raises OptionError, with what is `needed` of it, where there is
+    none, and HandModelError."""
     if asked.model is None or asked.model == OPEN_HAND:
         raise OptionError(
             f"{needed}: give your own MANO folder or file as the model (--model), as MANO's license keeps "
@@ -100,8 +101,9 @@ def own_model(asked: ReadOptions, side: Side, needed: str) -> HandModel:
 
 
 def from_directions(coefficients: np.ndarray, side: np.ndarray, asked: ReadOptions) -> np.ndarray:
-    """(N, 45) axis-angle of coefficients (N, C) of MANO's first C principal directions, without the mean, of
-    hands of these SIDES (N,). Raises OptionError where the directions are not there."""
+    """Return (N, 45) axis-angle in radians of coefficients (N, C) of MANO's first C principal directions,
+    without the mean pose; `side` (N,) has each hand's index in SIDES. Raises OptionError where the directions
+    are not there."""
     needed = "these hand poses are coefficients of MANO's principal directions"
     pose = np.empty((len(side), POSE))
     for index in set(side.tolist()):
@@ -111,13 +113,14 @@ def from_directions(coefficients: np.ndarray, side: np.ndarray, asked: ReadOptio
 
 
 def tell(assumed: list[str], phrase: str) -> None:
-    """Add a phrase that is not there yet."""
+    """Add a phrase to a list unless it is there already."""
     if phrase not in assumed:
         assumed.append(phrase)
 
 
 def standing(pelvis: np.ndarray, assumed: list[str]) -> np.ndarray:
-    """(3, 3) to the camera frame from the world of a body of SMPL's family, by how it stands.
+    """Return the rotation (3, 3) to the camera frame from the world of a body of SMPL's family, by how the
+    body stands.
 
     pelvis: (T, 3) axis-angle. In the rest pose such a body stands along +y.
     """
@@ -134,14 +137,16 @@ _TO_WRIST: Final[dict[Side, tuple[int, ...]]] = {
     "left": (3, 6, 9, 13, 16, 18, 20),
     "right": (3, 6, 9, 14, 17, 19, 21),
 }
-"""The joints from the pelvis, which is 0, to a wrist, in the order of SMPL, SMPL+H and SMPL-X"""
+"""For each side, the joints from the pelvis, which is 0, to the wrist, in the order of SMPL, SMPL+H and
+SMPL-X"""
 
 BODY_JOINTS: Final = 21
-"""of such a body's pose, without the pelvis and the hands"""
+"""Joints in the pose of a body of SMPL's family, without the pelvis and the hands"""
 
 
 def wrist_of_body(pelvis: np.ndarray, body_pose: np.ndarray, side: Side) -> np.ndarray:
-    """(T, 3) axis-angle: how a body's wrist is turned in the world, which is MANO's global_orient.
+    """Return (T, 3) axis-angle in radians: how a body's wrist is turned in the world, which is MANO's
+    global_orient.
 
     pelvis (T, 3) and body_pose (T, 63) axis-angle. Rotations need no body model, only the chain; hands of
     SMPL+H and SMPL-X have MANO's rest axes.
@@ -158,20 +163,21 @@ class FoundHands(Batch):
 
     frame: np.ndarray = array("N", kind="i")
     side: np.ndarray = array("N", kind="i")
-    """Which of SIDES"""
+    """(N,) the index in SIDES of each hand's side"""
     person: np.ndarray = array("N", kind="i")
-    """The person, counted for each side; -1 where the file does not say"""
+    """(N,) the number of each hand's person, counted for each side; -1 where the file does not say"""
     betas: np.ndarray = array("N", NUM_BETAS)
-    """NaN: not told"""
+    """(N, 10) MANO's shape coefficients; NaN where the file does not tell"""
     global_orient: np.ndarray = array("N", 3)
-    """radians"""
+    """(N, 3) axis-angle, radians: how each hand is turned about its wrist"""
     hand_pose: np.ndarray = array("N", POSE)
-    """radians"""
+    """(N, 45) axis-angle, radians: the turns of the 15 finger joints"""
     transl: np.ndarray = array("N", 3)
-    """metres; infinite where the file does not tell it"""
+    """(N, 3) metres: the translation of MANO's model; infinite where the file does not tell it"""
 
     def mirrored(self, *, places: bool) -> FoundHands:
-        """The hands with left ones that were right ones of a mirror at x = 0, which takes `places` along."""
+        """Return the hands with each left hand, stored as the right one of a mirror at x = 0, mirrored back;
+        `places`: whether the mirror takes the places along."""
         left = (self.side == SIDES.index("left"))[:, None]
         orient, pose = mirrored_pose(self.global_orient, self.hand_pose)
         return replace(
@@ -182,12 +188,14 @@ class FoundHands(Batch):
         )
 
     def turned(self, rotation: np.ndarray) -> FoundHands:
-        """The hands in another frame, but for their places: x_other = rotation x; (3, 3) or (N, 3, 3)."""
+        """Return the hands in another frame, x_other = rotation x, with rotation (3, 3) or (N, 3, 3); their
+        places stay as they are."""
         orient = rotmat_to_rotvec(rotation @ rotvec_to_rotmat(self.global_orient))
         return replace(self, global_orient=orient)
 
     def seen_from(self, rotation: np.ndarray, shift: np.ndarray, asked: ReadOptions) -> FoundHands:
-        """The hands in a camera's frame: x_camera = rotation x + shift, (3, 3) or (N, 3, 3), (3,) or (N, 3).
+        """Return the hands in a camera's frame: x_camera = rotation x + shift, with rotation (3, 3) or (N, 3,
+        3), and shift (3,) or (N, 3) in metres.
 
         MANO's root turns about the wrist, which does not lie at the origin of the model: with J the wrist of
         the model, the new transl is R (J + transl) + t - J.
@@ -201,8 +209,9 @@ class FoundHands(Batch):
         return replace(self.turned(rotation), transl=np.where(np.isinf(self.transl), self.transl, place))
 
     def from_flat(self, asked: ReadOptions, counted: Counted) -> FoundHands:
-        """The hands with poses that count from the flat hand, which count as the format has it, or as the
-        user says. Raises OptionError where MANO's mean is needed and not there."""
+        """Return the hands with poses that count from the flat hand; `counted` is what they count from by the
+        file's format, unless the user says otherwise. Raises OptionError where MANO's mean pose is needed and
+        not there."""
         if (counted if asked.hand_mean == "auto" else asked.hand_mean) == "flat":
             return self
         needed = "these hand poses count from MANO's mean pose"
@@ -220,8 +229,8 @@ class FoundHands(Batch):
 
 
 def shape_of(betas: np.ndarray, asked: ReadOptions, assumed: list[str]) -> np.ndarray:
-    """(10,) coefficients of MANO's shape, the median of (N, 10); zeros, the mean shape, where none are known,
-    and with the open hand, which has other shapes: `assumed` then says so."""
+    """Return (10,) coefficients of MANO's shape, the median of (N, 10); zeros, the mean shape, where none are
+    known, and with the open hand, which has other shapes: `assumed` then says so."""
     rows = betas[known(betas)]
     if not len(rows) or not np.any(rows):
         return np.zeros(NUM_BETAS)
@@ -234,8 +243,8 @@ def shape_of(betas: np.ndarray, asked: ReadOptions, assumed: list[str]) -> np.nd
 def followed(
     hands: FoundHands, frames: np.ndarray, asked: ReadOptions, assumed: list[str]
 ) -> tuple[HandMotion, ...]:
-    """Hands of single frames as hands over all of them, (T,) increasing; those of one person, where one is
-    asked for. Hands without a place get the usual one.
+    """Follow hands of single frames over all frames, whose numbers (T,) increase; only those of one person,
+    where one is asked for. Hands without a place get the usual one.
 
     A hand is the one that was closest to it last, among those of its side; there are as many of a side as
     were seen in one frame. Persons are counted as they appear. Raises Unfit for a person that there is not,
@@ -265,7 +274,7 @@ def followed(
 
 
 def _linked(hands: FoundHands) -> np.ndarray:
-    """(N,) int: which track each hand is of. Raises Unfit."""
+    """Return (N,) int: the number of the track that each hand belongs to. Raises Unfit."""
     order = np.lexsort((hands.side, hands.frame))
     keys = np.stack([hands.frame, hands.side])[:, order]
     together = np.split(order, np.flatnonzero(np.any(np.diff(keys) != 0, axis=0)) + 1)
@@ -304,15 +313,16 @@ _FINGERS: Final = np.array([j - 1 for f, joints in FINGER_JOINTS.items() if f !=
 
 
 def _bends(poses: np.ndarray, side: Side) -> np.ndarray:
-    """(N, 12) radians by which the joints of the four fingers bend, of up to 400 of the poses (T, 45)."""
+    """Return (N, 12) radians by which the joints of the four fingers bend, of up to 400 of the poses (T,
+    45)."""
     poses = poses[:: max(len(poses) // 200, 1)]
     axes = anatomical_axes(load_model(None, side))
     return anatomical_angles(rotvec_to_rotmat(poses.reshape(-1, 15, 3)), axes)[:, _FINGERS, 2]
 
 
 def beyond_range(poses: np.ndarray, side: Side) -> float:
-    """Radians that the four fingers' bends lie beyond what joints can do in poses (T, 45): the median over
-    the frames of the mean over 12 joints."""
+    """Return by how many radians the four fingers' bends in poses (T, 45) lie beyond what joints can do: the
+    median over the frames of the mean over 12 joints."""
     bends, limits = _bends(poses, side), joint_limits(side)
     low, high = limits.lower[_FINGERS, 2], limits.upper[_FINGERS, 2]
     off = np.maximum(low - bends, 0.0) + np.maximum(bends - high, 0.0)
@@ -320,8 +330,9 @@ def beyond_range(poses: np.ndarray, side: Side) -> float:
 
 
 def doubts(hands: Sequence[HandMotion], asked: ReadOptions, mirrored_by: str = "") -> list[str]:
-    """Phrases for hands whose fingers bend as no finger can, and would not if they were read another way:
-    with the mean pose, without it, or, where `mirrored_by` says what to do then, a left hand in a mirror."""
+    """Return phrases about hands whose fingers bend as no finger can, and would not if they were read another
+    way: with the mean pose, without it, or, where `mirrored_by` says what to do then, a left hand in a
+    mirror."""
     phrases: list[str] = []
     for hand in hands:
         poses = hand.hand_pose[hand.present]

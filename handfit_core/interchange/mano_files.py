@@ -29,9 +29,9 @@ from handfit_core.interchange.skeletons import UP_AXES
 _SUFFIXES: Final = (".npz", ".json", ".npy", ".pkl", ".pt", ".pth")
 _NUMBERS: Final = re.compile(r"(?<!\d)\d{1,18}(?!\d)")
 _MOST_DIGITS: Final = 2
-"""of a hand's number in a file's name; longer ones are frames'"""
+"""The most digits of a hand's number in a file's name; longer numbers are frames'"""
 _LOOKED_AT: Final = 20_000
-"""Values of a file among which a hand is looked for before it is said that it has none"""
+"""How many values of a file are looked through for a hand before it is said that the file has none"""
 _WORLDS: Final = {**UP_AXES, "OpenGL": np.diag([1.0, -1.0, -1.0])}
 
 
@@ -42,16 +42,16 @@ class ManoLayout:
     name: str = ""
     title: str = ""
     phrase: str = ""
-    """Such a file, as a phrase for messages and lists"""
+    """A phrase for such a file, for messages and lists"""
     source: str = ""
-    """The address where this is written down"""
+    """The address of the page on which the layout is described"""
     keys: str = ""
     """The names of values in a file, as in "betas right=right|is_right": of `global_orient`, `hand_pose`,
     `transl`, `betas`, `right` (1 and 0), `frame`, `time` (nanoseconds), `present`, `fps`, `focal`, `size`,
     `intrinsics` (fx, fy, cx, cy, or a matrix), `cam_R`, `cam_t`, `model`; with `body_pose`, `global_orient`
     is a body's. `SIDE` stands for left and right"""
     needs: str = "global_orient hand_pose transl"
-    """Which of them a file of this layout must have; `a|b`: one of the two"""
+    """The values that a file of this layout must have, by their names in `keys`; `a|b`: one of the two"""
     met: str = ""
     """The real file that it was tried with, and when; empty: it is read by its description"""
     rows: Literal["hands", "sides", "tracks"] = "hands"
@@ -60,49 +60,52 @@ class ManoLayout:
     side: Literal["", "right", "asked"] = ""
     """The side of all hands, where a file has one: right, or the one that --hands names"""
     sides: Mapping[str, Side] = field(default_factory=lambda: {side: side for side in SIDES})
-    """Keys and folders that have the hands of one side"""
+    """The side of the hands that each of these keys and folders has"""
     nested: str = ""
-    """Dictionaries within that have some of the keys, or begin their names"""
+    """Dictionaries within the file that have some of the keys, or whose names begin some of the keys"""
     listed: str = ""
-    """The names of what stands in a list without any"""
+    """The names of the values that stand in a list without names"""
     columns: Mapping[str, Mapping[int, Mapping[str, slice]]] = field(default_factory=dict)
-    """Which columns of an array of so many have which of the values; by the array's name, "" for a .npy"""
+    """The columns of each value in an array that holds several: by the array's name ("" for a .npy), then by
+    its number of columns, then by the value's name"""
     folder: str = ""
-    """The folder within the one that is given in which the files lie, if it is there"""
+    """The folder within the given one in which the files lie, if it is there"""
     files: str = ""
-    """An expression that names of a folder's files match; with groups, the number of the (first) `frame` and
-    of the `person`, each of these files must have hands"""
+    """A regular expression that the names of a folder's files match. With its groups, the number of the
+    (first) `frame` and of the `person`, each of these files must have hands"""
     matrices: bool = False
-    """True if only poses that are matrices are recognised"""
+    """True if a file is only recognised where its poses are matrices"""
     directions: bool = False
     """True if poses are coefficients of MANO's principal directions, even if there are 45"""
     counted: mano.Counted = "flat"
     mean_model: str = ""
     """The `model` with which poses count from the mean"""
     mirrored: Literal["no", "hands", "world"] = "no"
-    """If left hands are stored as right ones in a mirror: with their places (world) or without (hands)"""
+    """How left hands are stored: as they are (no), or as right ones in a mirror, with their places (world) or
+    without (hands)"""
     world: str = ""
-    """The frame that hands are in, one of _WORLDS; empty: the camera's"""
+    """The frame that hands are in, one of _WORLDS; empty for the camera's"""
     first_frame: int = 0
-    """An offset of the frames' numbers"""
+    """The number to add to the file's frame numbers"""
     assumed: tuple[str, ...] = ()
     assumes: str = ""
     """Assumptions about every file, for the table of docs/interchange.md"""
     also: tuple[ManoLayout, ...] = ()
-    """Others that the program has, less particular ones"""
+    """Other, less particular layouts that the program has"""
     mirrored_by: str = ""
-    """Advice where left hands bend as if mirrored"""
+    """Advice for the user where left hands bend as if mirrored"""
 
     @cached_property
     def names(self) -> dict[str, list[str]]:
-        """The names in a file of each of the values, the one that counts first."""
+        """For each of the values, the names that it may have in a file, the one that counts first in
+        front."""
         told = (each.replace("SIDE", side) for side in SIDES for each in self.keys.split())
         return {each.split("=")[0]: each.split("=")[-1].split("|") for each in told}
 
     @cached_property
     def wanted(self) -> dict[str, str]:
-        """Which value a name in a file has, the ones that count after the others; its own, if it has columns
-        of several."""
+        """For each name in a file, the value that it has; of several names of a value, the one that counts
+        comes last. An array with columns of several values has its own name here."""
         told = {name: what for what, names in self.names.items() for name in reversed(names)}
         return told | {key: key for key in self.columns}
 
@@ -125,20 +128,22 @@ class ManoLayout:
         )
 
     def plain(self, name: str) -> str:
-        """A name without that of a dictionary within, as in `mano.betas`."""
+        """Return a name without that of the dictionary that it stands in, such as `betas` for
+        `mano.betas`."""
         return re.sub(rf"^({'|'.join(self.nested.split()) or '(?!)'})[._/](?=\w+$)", "", name)
 
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """The values of one dictionary: name in the file and value, by the names of `ManoLayout.keys`."""
+    """One dictionary of a file: for each key of `ManoLayout.keys`, the name that it has in the file and its
+    value."""
 
     layout: ManoLayout
     values: Mapping[str, tuple[str, Any]] = field(default_factory=dict)
     row: int | None = None
-    """The place, from 1, in a list of frames"""
+    """The dictionary's place, counted from 1, in a list of frames; None where it stands in none"""
     name: str = ""
-    """The names of the file and of the keys that it stands under, as far as they have numbers"""
+    """The names of the file and of the keys that the dictionary stands under, as far as they have numbers"""
     fixed: Mapping[str, int] = field(default_factory=dict)
     """Numbers from the names of files, folders and keys: `frame`, `person`, `side`"""
 
@@ -149,7 +154,8 @@ class _Part:
         return mano.numbers(*self.values[what], *shape) if what in self else None
 
     def rows(self, what: str, count: int, *shape: int) -> np.ndarray | None:
-        """(count, *shape) numbers; None where there are none. Raises Unfit for another number of rows."""
+        """Return a value as (count, *shape) numbers; None where there is none. Raises Unfit for another
+        number of rows."""
         found = self.numbers(what, *shape)
         if found is not None and len(found) != count:
             raise Unfit(f"{self.values[what][0]} has {len(found)} rows where {count} are expected")
@@ -160,15 +166,15 @@ class _Part:
 
     @property
     def is_hands(self) -> bool:
-        """True if all that the layout needs is there, for one side at least."""
+        """True if everything that the layout needs is there, for one side at least."""
         columns = [widths for key, widths in self.layout.columns.items() if key in self]
         told = {*self.values, *(what for each in columns for parts in each.values() for what in parts)}
         needs = [self.layout.needs.replace("SIDE", side).split() for side in SIDES if self.values]
         return any(all(told & {*what.split("|")} for what in of) for of in needs)
 
     def within(self, steps: Sequence[str | int], held: Mapping[str, Any]) -> _Part:
-        """The part that these keys, names and places in lists lead to, with the values of `held` that are
-        wanted."""
+        """Return the part that these keys, names and places in lists lead to, with the values of `held` that
+        are wanted."""
         layout, values = self.layout, dict(self.values)
         for name, what in layout.wanted.items():
             if name in held and (name or _width(held[name]) in layout.columns.get(name, ())):
@@ -186,7 +192,8 @@ class _Part:
         )
 
     def unpacked(self) -> _Part:
-        """With lists as arrays, and the columns of arrays apart. Raises Unfit."""
+        """Return the part with lists made arrays, and arrays of several values taken apart by their columns.
+        Raises Unfit."""
         values = dict(self.values)
         for what, (name, value) in self.values.items():
             with suppress(TypeError, ValueError), np.errstate(invalid="ignore"):
@@ -205,7 +212,8 @@ class _Part:
 
 
 def _width(value: Any) -> int:
-    """How many numbers the innermost lists of a value have, or an array's rows; 0 of a single one."""
+    """Return how many numbers the innermost lists of a value, or an array's rows, have; 0 for a single
+    number."""
     if isinstance(value, np.ndarray):
         return value.shape[-1] if value.ndim else 0
     while isinstance(value, list) and value and isinstance(value[0], list):
@@ -214,8 +222,8 @@ def _width(value: Any) -> int:
 
 
 def _values(held: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
-    """The values in dictionaries and lists, with the keys and the places, from 1, that lead to each; a list
-    of numbers is one value."""
+    """Yield the values in dictionaries and lists, with the keys and the places, from 1, that lead to each; a
+    list of numbers is one value."""
     first = held
     while isinstance(first, list) and first:
         first = first[0]
@@ -230,7 +238,7 @@ def _values(held: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple
 
 
 def _in_file(document: Document, part: _Part, most: int | None) -> Iterator[_Part]:
-    """The hands among the first `most` values of a file, each with what stands around it."""
+    """Yield the hands among the first `most` values of a file, each with the values that stand around it."""
     layout, nested = part.layout, part.layout.nested.split()
     held = document.npy if document.held is None else document.held
     if document.npz is not None:
@@ -252,7 +260,7 @@ def _in_file(document: Document, part: _Part, most: int | None) -> Iterator[_Par
 
 
 def _parts(layout: ManoLayout, document: Document, most: int | None = None) -> Iterator[_Part]:
-    """The hands among the first `most` values of a file, or of each file of a folder. Raises Unfit."""
+    """Yield the hands among the first `most` values of a file, or of each file of a folder. Raises Unfit."""
     if not document.is_folder:
         yield from _in_file(document, _Part(layout), most)
         return
@@ -281,8 +289,8 @@ def _recognises(layout: ManoLayout, document: Document) -> bool:
 
 
 def _sided(part: _Part, path: Path, assumed: list[str]) -> Iterator[tuple[_Part, np.ndarray | None]]:
-    """A part for each of both sides, where they are apart, and how a body's world turns to the camera's axes.
-    Raises Unfit."""
+    """Yield a part for each side where a part has both apart, with the rotation (3, 3) from a body's world to
+    the camera's axes, None where there is none. Raises Unfit."""
     if part.layout.rows != "sides":
         yield part, None
         return
@@ -305,7 +313,8 @@ def _sided(part: _Part, path: Path, assumed: list[str]) -> Iterator[tuple[_Part,
 
 
 def _hands(part: _Part, asked: ReadOptions, path: Path, assumed: list[str]) -> FoundHands:
-    """The hands of a part, as its own frame has them. Raises Unfit, InputError and OptionError."""
+    """Return the hands of a part, in the frame in which the file has them. Raises Unfit, InputError and
+    OptionError."""
     layout, (name, value) = part.layout, part.values["hand_pose"]
     shape = np.shape(value)[-2:]
     LIMITS.check(path, np.size(value) // (9 * 15 if shape == (3, 3) else POSE), 2)
@@ -335,7 +344,8 @@ def _hands(part: _Part, asked: ReadOptions, path: Path, assumed: list[str]) -> F
 def _whose(
     part: _Part, asked: ReadOptions, path: Path, assumed: list[str]
 ) -> tuple[np.ndarray, np.ndarray | int]:
-    """Which of SIDES each row is of (N,), or all rows are of (), and whose. Raises Unfit."""
+    """Return the index in SIDES of each row's hand, (N,), or of all rows, (), and the number of the person.
+    Raises Unfit."""
     which = part.layout.side
     if part.layout.rows == "tracks":
         of = "right" if "right" in part else "present"
@@ -361,7 +371,8 @@ def _whose(
 
 
 def _shapes(part: _Part, count: int) -> np.ndarray:
-    """(N, 10) betas: one shape for each row, each track or all; NaN where nobody knows whose they are."""
+    """Return (N, 10) betas: one shape for each row, each track or all; NaN where it is not known whose they
+    are."""
     shapes = np.full((count, NUM_BETAS), np.nan)
     if "betas" not in part or not np.size(part.values["betas"][1]):
         return shapes
@@ -371,7 +382,7 @@ def _shapes(part: _Part, count: int) -> np.ndarray:
 
 
 def _frames(part: _Part, side: np.ndarray, assumed: list[str]) -> np.ndarray:
-    """Each hand's frame; any where the part's name has it. Raises Unfit."""
+    """Return the frame number of each hand; any number where the part's name has it. Raises Unfit."""
     count, sides = len(side), part.layout.rows == "sides"
     if part.layout.rows == "tracks":
         frames = np.shape(part.values["right" if "right" in part else "present"][1])[1]
@@ -393,7 +404,7 @@ def _frames(part: _Part, side: np.ndarray, assumed: list[str]) -> np.ndarray:
 
 
 def _before_camera(part: _Part, hands: FoundHands, asked: ReadOptions, assumed: list[str]) -> FoundHands:
-    """The hands of a world whose camera is told in the camera's frame. Raises Unfit."""
+    """Return hands in the camera's frame, of hands in a world whose camera the file tells. Raises Unfit."""
     if "cam_R" not in part or "cam_t" not in part:
         if "cam_R" in part.layout.names:
             tell(assumed, "the camera is not told (cam_R, cam_t): the world was taken to have its axes")
@@ -407,8 +418,8 @@ def _before_camera(part: _Part, hands: FoundHands, asked: ReadOptions, assumed: 
 
 
 def _by_names(names: Collection[str], assumed: list[str]) -> dict[str, int]:
-    """The frames that files or keys are of, by their last numbers, or by those before them where the last
-    ones count the hands of a picture. Raises Unfit for names of several clips."""
+    """Return the frame number of each file or key by the last number in its name, or by the one before where
+    the last ones count the hands of a picture. Raises Unfit for names of several clips."""
     if not names:
         return {}
     found = {name: [*_NUMBERS.finditer(name)] for name in names}
@@ -433,8 +444,8 @@ def _by_names(names: Collection[str], assumed: list[str]) -> dict[str, int]:
 
 
 def _by_time(parts: Sequence[_Part]) -> tuple[float, list[_Part]]:
-    """Frames per second, and the parts with their frames, from 1, by their times; the first one of each side
-    where several cameras saw a hand at almost the same time."""
+    """Return frames per second, and the parts with their frames, counted from 1, by their times; of each side
+    only the first one where several cameras saw a hand at almost the same time."""
     times = np.array([part.values["time"][1] for part in parts], dtype=np.float64) / 1e9
     steps = np.diff(np.unique(times))
     step = float(np.median(steps[steps > 0.5 * np.quantile(steps, 0.75)])) if len(steps) else 1.0
@@ -511,7 +522,8 @@ def _read(name: str, layout: ManoLayout, document: Document, asked: ReadOptions)
 def _camera(
     layout: ManoLayout, parts: Sequence[_Part], asked: ReadOptions, assumed: list[str], *, nowhere: bool
 ) -> tuple[tuple[int, int] | None, Intrinsics | None]:
-    """The pictures' size and the camera, as the parts tell them."""
+    """Return the pictures' (width, height) in pixels and the camera, as the parts tell them; None where they
+    do not."""
 
     def told(what: str, *shape: int) -> np.ndarray:
         rows = [rows for part in parts if (rows := part.numbers(what, *shape)) is not None]

@@ -1,4 +1,4 @@
-"""Inputs that are no pictures but what another program found in some, beside pictures or alone."""
+"""Inputs that are no pictures but what another program found in pictures, beside these or alone."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from handfit_core.take import is_take
 DATA_SUFFIXES: Final = frozenset(
     ".json .jsonl .csv .tsv .trc .txt .npz .npy .bvh .pose .pkl .pickle .joblib .pth .pt".split()
 )
-"""Endings of files that are read as recordings, whatever they are"""
+"""Endings of files that are read as recordings, whatever the files hold"""
 
 NO_RATE: Final = f"frames per second are not told: {DEFAULT_FPS:g} (--fps tells them)"
-"""What is assumed of a recording alone, and told by pictures beside it"""
+"""The phrase for a recording alone that does not tell its rate, which pictures beside it would tell"""
 
 RELATIVE: Final = (1, 1)
-"""A recording's size where keypoints are parts of the picture's width and height"""
+"""The size of a recording whose keypoints are parts of the picture's width and height"""
 
 
 class RecordedMedia(Media):
@@ -56,16 +56,16 @@ class RecordedMedia(Media):
         self.first_and_last = self._numbers[0], self._numbers[-1]
 
     def in_range(self) -> Recording:
-        """The recording of the frames that are wanted."""
+        """The part of the recording in the range of frames that the user wants."""
         rows = np.flatnonzero(np.isin(self.recording.frame_numbers, self._numbers))
         return at_rows(self.recording, rows, self.recording.frame_numbers[rows])
 
     def numbers(self, first: int = 0, count: int | None = None) -> Sequence[int]:
-        """The numbers of the wanted frames of the part."""
+        """Return the numbers of the wanted frames from `first` on, at most `count` of them."""
         return self._numbers[first:] if count is None else self._numbers[first : first + count]
 
     def frames(self, first: int = 0, count: int | None = None, step: int = 1) -> Iterator[Frame]:
-        """The wanted frames of the part, without pictures."""
+        """Yield the wanted frames from `first` on, without pictures."""
         for number in self.numbers(first, count)[::step]:
             yield Frame(number, (number - self._numbers[0]) / self.fps, None)
 
@@ -85,14 +85,14 @@ def is_recording(source: MediaInput) -> bool:
 
 
 def _holds_data(document: Document) -> bool:
-    """True if files of data are in a folder, or in folders of it as a reader knows them."""
+    """Return whether a folder, or a folder in it as a reader knows them, has files of data."""
     if document.files(*(DATA_SUFFIXES - {".txt"})):  # Notes lie beside clips.
         return True
     return any(reader.recognises(document) for reader in READERS.built_in().values())
 
 
 def read_recording(path: str | os.PathLike[str], options: ReadOptions | None = None) -> Recording:
-    """What a file or folder holds. Raises InputError and OptionError."""
+    """Read what a file or folder holds. Raises InputError and OptionError."""
     options, document = options or ReadOptions(), Document(path)
     if not os.path.exists(document.path):  # noqa: PTH110  (raises for no name, however long)
         raise InputError(f"{shown(path)}: there is no such file or folder")
@@ -127,7 +127,8 @@ def read_recording(path: str | os.PathLike[str], options: ReadOptions | None = N
 
 
 def _with_rate(recording: Recording, fps: float | None) -> Recording:
-    """The recording with the rate that is asked for, its own, or the usual one."""
+    """Return the recording with the rate in frames per second that is asked for, else its own, else the usual
+    one."""
     if fps is not None or recording.fps:
         return replace(recording, fps=fps or recording.fps)
     assumed = recording.assumed if len(recording.frame_numbers) == 1 else (*recording.assumed, NO_RATE)
@@ -135,7 +136,8 @@ def _with_rate(recording: Recording, fps: float | None) -> Recording:
 
 
 def beside(media: Media, recording: Recording) -> Recording:
-    """A recording of those pictures, whose rows and pixels are theirs: a frame that it lacks has no hands.
+    """Fit a recording to its pictures: its rows and pixels become theirs, and a frame that it lacks has no
+    hands.
 
     Which frame is which picture's is decided by all of the source's pictures, of which a part may be wanted
     (`_as_numbered`), and said in `assumed`. Raises InputError where none is of these pictures, and for
@@ -162,7 +164,7 @@ def beside(media: Media, recording: Recording) -> Recording:
 
 
 def _as_numbered(pictures: Sequence[int], frames: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """The pictures' numbers of a recording's frames (T,), and what was assumed for it.
+    """Return the pictures' numbers of a recording's frames (T,), and phrases about what was assumed for it.
 
     Frames without gaps from 0 or 1, as many as there are pictures, are in the pictures' order, whatever the
     pictures' numbers are. Others that count from 0, which no picture does, are counted along the pictures.
@@ -184,7 +186,7 @@ def _as_numbered(pictures: Sequence[int], frames: np.ndarray) -> tuple[np.ndarra
 
 
 def _check_inside(recording: Recording) -> None:
-    """Raise InputError for keypoints of pictures of another size."""
+    """Raise InputError for keypoints of which most lie outside the recording's pictures."""
     if recording.seen is None or recording.size is None:
         return
     points = recording.seen.keypoints[np.isfinite(recording.seen.keypoints).all(axis=-1)]
@@ -200,7 +202,8 @@ def _check_inside(recording: Recording) -> None:
 
 
 def at_rows(recording: Recording, rows: np.ndarray, numbers: np.ndarray) -> Recording:
-    """The recording's frames at `rows` (T,), -1 for one without hands, with other numbers."""
+    """Return the recording's frames at `rows` (T,), -1 for a frame without hands, with the frame numbers
+    `numbers` (T,)."""
     seen = recording.seen
     if seen is not None:
         place = np.full(len(recording.frame_numbers), -1)
@@ -226,7 +229,8 @@ def _hand_at(hand: PointsHand | HandMotion, rows: np.ndarray) -> Any:
 
 
 def scaled(recording: Recording, width: int, height: int) -> Recording:
-    """The recording of pictures of that size, whatever the size that it was made at."""
+    """Return the recording with its keypoints in pixels of pictures of that size, whatever size it was made
+    at."""
     if recording.size is None or recording.size == (width, height):
         return replace(recording, size=(width, height))
     by = np.array([width / recording.size[0], height / recording.size[1]])

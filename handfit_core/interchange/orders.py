@@ -1,4 +1,4 @@
-"""Orders in which programs write the points of a hand, and which of them a hand's bones tell."""
+"""Orders in which programs write the points of a hand, and how a hand's bones tell its order."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from handfit_core.hand_model import load_model
 from handfit_core.interchange.lift import canonical_plane, lifter
 
 LARGEST_ERROR: Final = 0.10
-"""Parts of a hand's length, from the wrist to the middle finger's tip, that the points of no order may be off
-after the fit"""
+"""How far the points of an order may be off after the fit, in parts of the hand's length from the wrist to
+the middle finger's tip, for the order to be taken"""
 _PALM: Final = [0, 5, 9, 13, 17]
 _MOST_BENT: Final = np.radians(115.0)
-"""Between two bones of a finger"""
+"""The largest angle in radians between two bones of a finger that follow one another"""
 _DIFFER: Final = 1.3
-"""Factor by which bones may be longer or shorter than the open hand's"""
+"""The factor by which bones may be longer or shorter than the open hand's"""
 _PLANE: Final = 0.2
-"""What points in pictures may be off `Plane`, in parts of a hand's size"""
+"""How far points in pictures may be off `Plane`, in parts of a hand's size"""
 _LOOKED_AT: Final = 60
-"""Hands that orders are tried with"""
+"""How many hands of a file the orders are tried with, at most"""
 
 
 @dataclass(frozen=True)
@@ -35,23 +35,25 @@ class PointOrder:
 
     title: str
     points: str
-    """The file's points, by letters for fingers (T, I, M, R, P: thumb to little finger) with numbers from the
-    root to the tip, W for the wrist, and - for other points"""
+    """The file's points, one after the other, by letters for fingers (T, I, M, R, P: thumb to little finger)
+    with numbers from the root to the tip, W for the wrist, and - for other points"""
 
     @property
     def count(self) -> int:
-        """How many points the file has for a hand."""
+        """The number of points that the file has for a hand."""
         return len(self.points.split())
 
     @property
     def indices(self) -> np.ndarray:
-        """(21,) int: which of the file's points each of MediaPipe's is; -1: none."""
+        """(21,) int: for each of MediaPipe's points its index among the file's; -1 where the file has
+        none."""
         names = ["W", *(f"{finger}{joint}" for finger in "TIMRP" for joint in "1234")]
         told = self.points.split()
         return np.array([told.index(name) if name in told else -1 for name in names])
 
     def of(self, points: np.ndarray) -> np.ndarray:
-        """Points (..., K, C) of the file -> (..., 21, C) in MediaPipe's order, NaN where there is none."""
+        """Return points (..., K, C) of the file as (..., 21, C) in MediaPipe's order, NaN where the file has
+        none."""
         chosen = np.array(points[..., self.indices, :], dtype=np.float64)
         chosen[..., self.indices < 0, :] = np.nan
         return chosen
@@ -109,15 +111,16 @@ WHOLE_BODIES: Final = {
         (553, 54, 33),  # FreeMoCap 1: body, right hand, left hand, face
     )
 }
-"""Where whole bodies have hands in MediaPipe's order, by how many points they have"""
+"""For each number of points of a whole body, the places of its hands, which are in MediaPipe's order"""
 BODIES: Final = frozenset((14, 15, 16, 17, 18, 19, 23, 25, 26, 33, 68, 70, 468, 478))
-"""How many points bodies and faces without hands have"""
+"""The numbers of points that bodies and faces without hands have"""
 HANDS: Final = frozenset(order.count for order in ORDERS.values())
-"""How many points hands have"""
+"""The numbers of points that hands have"""
 
 
 def width_of(numbers: int, widths: Iterable[int]) -> int:
-    """How many of so many numbers in a row stand for a point, of these; 0: they are no hands or body."""
+    """Return which of these widths, the numbers that stand for one point, divides a row of so many numbers
+    into a hand or body; 0 where none does."""
     for counts in (HANDS, WHOLE_BODIES, BODIES):
         for width in sorted(widths):
             if numbers % width == 0 and numbers // width in counts:
@@ -127,21 +130,22 @@ def width_of(numbers: int, widths: Iterable[int]) -> int:
 
 @lru_cache(maxsize=1)
 def _open_hand() -> np.ndarray:
-    """(21, 3) metres: keypoints of the flat right hand."""
+    """Return (21, 3) metres: the keypoints of the flat right hand."""
     zero = np.zeros((1, 3))
     return np.asarray(load_model(None, "right").keypoints(None, zero, np.zeros((1, 45)), zero)[0])
 
 
 def _length(points: np.ndarray) -> float:
-    """From the wrist to the middle finger's tip of a relaxed hand whose points (N, K, D) reach as far."""
+    """Return the length from the wrist to the middle finger's tip, in the points' unit, of a relaxed hand
+    whose points (N, K, D) reach as far as these."""
     middle = np.nanmean(points, axis=1, keepdims=True)
     reach = np.sqrt(np.nanmean(np.square(points - middle).sum(axis=-1), axis=1))
     return 2.6 * float(np.nanpercentile(reach, 90.0))
 
 
 def _off_in_space(points: np.ndarray) -> np.ndarray:
-    """(N,) how far hands (N, 21, 3) are off hands with the open hand's bones, whose palm is rigid and whose
-    fingers bend as joints can: RMS of the points. NaN without a palm."""
+    """Return (N,) how far hands (N, 21, 3) are off hands with the open hand's bones, whose palm is rigid and
+    whose fingers bend as joints can: RMS over the points. NaN for a hand without a palm."""
     rest, parents = _open_hand(), np.array(KEYPOINT_PARENTS)
     ours = np.linalg.norm(rest - rest[parents], axis=-1)
     bones = points - points[:, parents]
@@ -180,7 +184,8 @@ def _off_in_space(points: np.ndarray) -> np.ndarray:
 
 
 def _bent(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Directions (N, 3) of bones after others, no farther from these than joints bend."""
+    """Return directions (N, 3) of bones; one that is bent farther from the bone `before` it than joints bend
+    is turned back to that bound."""
     along = (before * after).sum(axis=-1, keepdims=True)
     across = after - along * before
     across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
@@ -189,7 +194,8 @@ def _bent(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 
 
 def _off_in_plane(points: np.ndarray) -> np.ndarray:
-    """(N,) how far hands (N, 21, 2) are off hands as they lie in pictures (`Plane`): RMS of the points."""
+    """Return (N,) how far hands (N, 21, 2) are off hands as they lie in pictures (`Plane`): RMS over the
+    points."""
     plane = lifter().plane
     sure = np.isfinite(points).all(axis=-1)
     pull = plane.covariance @ np.linalg.inv(plane.covariance + _PLANE**2 * np.eye(len(plane.mean)))
@@ -204,8 +210,8 @@ def _off_in_plane(points: np.ndarray) -> np.ndarray:
 
 
 def errors(points: np.ndarray) -> dict[str, float]:
-    """How far off each order of that many points is for hands (N, K, 3), or (N, K, 2) in the plane, in parts
-    of the hand's length; those of which nothing can be said are left out."""
+    """Return how far off each order of that many points is for hands (N, K, 3), or (N, K, 2) in the plane, in
+    parts of the hand's length; orders of which nothing can be said are left out."""
     off = _off_in_space if points.shape[-1] == 3 else _off_in_plane
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
@@ -221,8 +227,9 @@ def errors(points: np.ndarray) -> dict[str, float]:
 
 
 def order_by_bones(points: np.ndarray, *, in_space: bool, parts: bool) -> tuple[str, str]:
-    """The order of hands (N, K, 3) and what is said of it. `in_space`: whether z is as good as x and y;
-    `parts`: whether x and y are parts of pictures of unknown shape. Raises ValueError where none fits."""
+    """Return the name of the order of hands (N, K, 3) and a phrase about it. `in_space`: whether z is as good
+    as x and y; `parts`: whether x and y are parts of pictures of unknown shape. Raises ValueError where none
+    fits."""
     hands = points[np.isfinite(points[..., :2]).all(axis=-1).sum(axis=1) >= min(12, points.shape[1])]
     hands = hands[:: max(1, len(hands) // _LOOKED_AT)]
     shapes = (1.0, 16.0 / 9.0, 9.0 / 16.0) if parts and not in_space else (1.0,)

@@ -15,14 +15,14 @@ from handfit_core.interchange.orders import ORDERS, order_by_bones
 from handfit_core.interchange.recording import UNKNOWN, PointsHand, SeenHands, known
 
 LEAST_SURE: Final = 0.3
-"""What `share_left` must differ from 0 before it is believed"""
+"""How much `share_left` must differ from 0 before it is believed"""
 
 
 def ordered(
     hands: SeenHands, frames: Frames, order: str | None, said: list[str], *, parts: bool
 ) -> SeenHands:
-    """The hands in MediaPipe's order. `order`: the one that is asked for, if any; `parts`: whether points in
-    the plane are parts of the picture's size. Raises ValueError if none fits."""
+    """Return the hands in MediaPipe's order. `order`: the one that is asked for, if any; `parts`: whether
+    points in the plane are parts of the picture's size. Raises ValueError if none fits."""
     name, count = order or frames.order, hands.points.shape[1]
     if not name:
         deep = known(hands.world).all(axis=1).any()
@@ -41,7 +41,7 @@ def ordered(
 
 
 def is_world(hands: SeenHands) -> bool:
-    """True if what stands for points is in metres about each hand's middle."""
+    """Return whether the numbers that stand for points are metres about each hand's middle."""
     points = hands.points[known(hands.points).sum(axis=1) > 15]
     if not len(points):
         return False
@@ -50,8 +50,8 @@ def is_world(hands: SeenHands) -> bool:
 
 
 def in_metres(hands: SeenHands) -> bool:
-    """True if points with a depth are in metres before a camera, rather than parts of a picture, where a
-    depth counts from a point of the hand: whose own is then zero."""
+    """Return whether points with a depth are in metres before a camera, rather than parts of a picture, where
+    a depth counts from a point of the hand, whose own depth is then zero."""
     points = hands.points[known(hands.points).all(axis=1)]
     if not len(points) or (np.abs(points[..., 2]) < 1e-5).all(axis=0).any() or is_world(hands):
         return False
@@ -62,9 +62,9 @@ def in_metres(hands: SeenHands) -> bool:
 def tracks_of(
     hands: SeenHands, frames: int, said: list[str], *, counted: bool
 ) -> list[tuple[Side, np.ndarray]]:
-    """Sides and x, y, z of the points (T, 21, 3) of hands over all T frames, or with quaternions (T, 21, 7)
-    if there are any: each that is `counted`, else one of each side, in a frame the surest, and of those that
-    are as sure the first."""
+    """Return the side and the points x, y, z (T, 21, 3) of hands over all T frames, or with quaternions (T,
+    21, 7) if there are any: each hand that is `counted`, else one of each side, in a frame the surest, and of
+    equally sure ones the first."""
     found = []
     values = np.where((hands.confidence > 0.0)[..., None], hands.points, np.nan)
     if hands.turns is not None:
@@ -87,8 +87,8 @@ def tracks_of(
 
 
 def metres_of(hands: Sequence[PointsHand], units: Mapping[str, float], said: list[str]) -> float:
-    """Metres of one of the file's units, by the palm's length. Raises ValueError where none of the units
-    makes a hand of it."""
+    """Return how many metres the file's unit is, by the palm's length. Raises ValueError where none of the
+    `units` makes a hand of it."""
     usual = next(iter(units))
     palms = np.concatenate([np.linalg.norm(h.points[:, 9] - h.points[:, 0], axis=-1) for h in hands])
     palm = float(np.nanmedian(palms)) if np.isfinite(palms).any() else np.nan
@@ -103,8 +103,8 @@ def metres_of(hands: Sequence[PointsHand], units: Mapping[str, float], said: lis
 
 
 def bent_as_left(points: np.ndarray) -> np.ndarray:
-    """(N,) how far the fingers of hands (N, 21, 3) bend out of the palm's plane, in its length: positive for
-    left hands, negative for right ones, as fingers bend towards the palm.
+    """Return (N,) how far the fingers of hands (N, 21, 3) bend out of the palm's plane, in parts of its
+    length: positive for left hands, negative for right ones, as fingers bend towards the palm.
 
     In axes that form a right-handed frame, such as the camera's. NaN where points are missing.
     """
@@ -116,8 +116,9 @@ def bent_as_left(points: np.ndarray) -> np.ndarray:
 
 
 def share_left(points: np.ndarray, signs: np.ndarray | float = 1.0) -> float:
-    """From -1 (right) to 1 (left): what hands (N, 21, 3) look like by how their fingers bend; 0: unknown.
-    `signs` (N,): with -1 for right hands, from -1 (the other ones) to 1 (as they are called)."""
+    """Return from -1 (right) to 1 (left) what side hands (N, 21, 3) look like by how their fingers bend; 0
+    where unknown. `signs` (N,): with -1 for right hands, from -1 (the other side) to 1 (the side that they
+    are said to be of)."""
     bent = bent_as_left(points) * signs
     bent = bent[np.isfinite(bent)]
     total = float(np.abs(bent).sum())
@@ -125,7 +126,7 @@ def share_left(points: np.ndarray, signs: np.ndarray | float = 1.0) -> float:
 
 
 def odd_sides(hands: Sequence[PointsHand]) -> list[str]:
-    """What is said of hands that look like the other side's."""
+    """Return phrases about hands that look like the other side's."""
     return [
         f"its {hand.side} hand bends like a {other_side(hand.side)} one: its files may be swapped or mirrored"
         for hand in hands
@@ -134,7 +135,7 @@ def odd_sides(hands: Sequence[PointsHand]) -> list[str]:
 
 
 def own_sides(hands: SeenHands, shapes: np.ndarray, said: list[str], *, mirrored: bool) -> SeenHands:
-    """The hands, left and right swapped where labels count for mirrored pictures.
+    """Return the hands, left and right swapped where labels hold for mirrored pictures.
 
     `shapes` (N, 21, 3): what is known of their shape in space. `mirrored`: what the file's layout says.
     """
@@ -150,7 +151,7 @@ def own_sides(hands: SeenHands, shapes: np.ndarray, said: list[str], *, mirrored
 
 
 def with_sides(hands: SeenHands, wanted: str, shapes: np.ndarray, said: list[str]) -> SeenHands:
-    """The hands, all with a side.
+    """Return the hands that are wanted, all with a side.
 
     `wanted` is the option of the sides that are to be kept: where it names one, hands of unknown side are of
     it. `shapes` (N, 21, 3): what they look like in space; NaN: not known.
@@ -173,8 +174,8 @@ def with_sides(hands: SeenHands, wanted: str, shapes: np.ndarray, said: list[str
 
 
 def without_hidden(hands: SeenHands, least: float, said: list[str]) -> SeenHands:
-    """The hands whose points have a mean confidence of `least` or more: programs that look for whole people
-    tell of hidden hands, too."""
+    """Return the hands whose points have a mean confidence of `least` or more: programs that look for whole
+    people tell of hidden hands, too."""
     count = np.maximum((hands.confidence > 0.0).sum(axis=1), 1)
     shown = hands.confidence.sum(axis=1) / count >= least
     if shown.all():

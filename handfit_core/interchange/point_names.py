@@ -37,7 +37,7 @@ _FINGER: Final = (
     "knuckle middle distal tip",
     "knuckle intermediatebase intermediatetip tip",
 )
-"""Joints as MediaPipe, OpenXR, MRTK, visionOS and (of the thumb) Apple's Vision call them"""
+"""The joints' names of MediaPipe, OpenXR, MRTK, visionOS and (of the thumb) Apple's Vision"""
 _NAMES: Final = {"wrist": 0} | {
     called + joint: 1 + 4 * number + place
     for number, finger in enumerate(FINGERS)
@@ -48,7 +48,7 @@ _NAMES: Final = {"wrist": 0} | {
 XR_NAMES: Final = frozenset(
     name for name in _NAMES if re.search("proximal|intermediate|knuckle|metacarpal|distal", name)
 )
-"""Those of joints as headsets have them, in metres"""
+"""The names that headsets give to joints, which they tell in metres"""
 _AROUND: Final = re.compile(r"finger|phalanx|joint|xrhand|hand|ext$|^xr|left|right")
 KEYS: Final = {
     "frame": "frame frameid framenumber frameindex frameidx frameno framenum fnum imageid image file".split(),
@@ -68,19 +68,19 @@ KEYS: Final = {
         "keypointid keypointname joint jointname jointid index name id"
     ).split(),
 }
-"""Plain names of JSON's keys and of tables' columns by what they hold"""
+"""Plain names of JSON's keys and of tables' columns, by what a value of that name holds"""
 
 
 @lru_cache(maxsize=10_000)
 def plain(name: str) -> str:
-    """A key or a column's name without its case and the signs between its words."""
+    """Return a key's or column's name in small letters and without the signs between its words."""
     return re.sub(r"[^a-z0-9]", "", name[:300].lower())
 
 
 @lru_cache(maxsize=10_000)
 def point_named(name: str) -> int | None:
-    """Which of the 21 points somebody calls so: MediaPipe (INDEX_FINGER_MCP), Apple's Vision (indexMCP,
-    VNHLKIMCP), headsets (IndexProximal), and this project (index_1); None: none."""
+    """Return which of the 21 points has that name in MediaPipe (INDEX_FINGER_MCP), Apple's Vision (indexMCP,
+    VNHLKIMCP), headsets (IndexProximal), or this project (index_1); None where none has."""
     if code := _APPLE_CODE.search(name):
         if code[1] == "WRI":
             return 0
@@ -89,7 +89,8 @@ def point_named(name: str) -> int | None:
 
 
 def place_of(name: str) -> int | None:
-    """Which point a JSON key or a table's cell names or counts, from 0 or 1; None: none."""
+    """Return which point a JSON key or a table's cell names, or counts from 0 or 1; None where it does
+    neither."""
     number = name.removesuffix(".0")
     if number.isascii() and number.isdigit():
         return int(number) if len(number) < 4 and int(number) <= NUM_KEYPOINTS else None
@@ -97,18 +98,18 @@ def place_of(name: str) -> int | None:
 
 
 def short(name: str) -> str:
-    """A point's plain name without its side and what stands about it: `XR_HAND_JOINT_INDEX_PROXIMAL_EXT` and
-    `right_hand_index_finger_proximal` are `indexproximal`."""
+    """Return a point's plain name without its side and the words around it:
+    `XR_HAND_JOINT_INDEX_PROXIMAL_EXT` and `right_hand_index_finger_proximal` become `indexproximal`."""
     return _AROUND.sub("", plain(name))
 
 
 def is_apple(name: str) -> bool:
-    """True if only Apple's Vision calls a point so: by its keys, and the MP of its thumb."""
+    """Return whether only Apple's Vision gives a point this name: by its keys, and the MP of its thumb."""
     return bool(_APPLE_CODE.search(name)) or bool(_APPLE_THUMB.search(name))
 
 
 def side_named(text: object) -> Side | None:
-    """The side that a label names, as in Left, right_hand, R; None: none."""
+    """Return the side that a label names, as in Left, right_hand, R; None where it names none."""
     if not isinstance(text, str):
         return None
     words = [word.lower() for word in _WORDS.findall(text[:100])]
@@ -121,21 +122,22 @@ class PointColumn:
     """A table's column that holds one number of a hand's point."""
 
     index: int
-    """Which column"""
+    """The column's index in the table"""
     point: int
     axis: str
-    """x, y, z, or c: how sure it is"""
+    """The number that the column holds: x, y, z, or c, which is how sure the point is"""
     side: Side | None
     hand: int
-    """Which hand, where columns number them"""
+    """The number of the hand, where columns number hands"""
     named: bool
-    """True if its point is named rather than numbered"""
+    """True if the column's point is named rather than numbered"""
     world: bool
-    """True if it is in metres about the hand's middle, as MediaPipe's world landmarks"""
+    """True if the column is in metres about the hand's middle, as MediaPipe's world landmarks are"""
 
 
 def point_columns(names: Sequence[str]) -> list[PointColumn]:
-    """The columns of a table in which each row holds whole hands, as in x0, wrist_x or right_hand_wrist_x.
+    """Return the point columns of a table in which each row holds whole hands, as in x0, wrist_x or
+    right_hand_wrist_x.
 
     Where points are numbered from 1, 21 is among them and 0 is not.
     """
@@ -149,7 +151,7 @@ def point_columns(names: Sequence[str]) -> list[PointColumn]:
 
 
 def _parsed(index: int, name: str) -> PointColumn | None:
-    """The column; None: it is no point's."""
+    """Return what the column of that name holds; None where it is no point's."""
     if len(name) > 100:
         return None
     code = _APPLE_CODE.search(name)

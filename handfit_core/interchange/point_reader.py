@@ -56,7 +56,7 @@ AXES: Final = UP_AXES | {
     # Of Aria's glasses: down, to the left, away from who wears them
     "aria": np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
 }
-"""To the camera's axes, by the axis that is up, or by the device"""
+"""(3, 3) rotations to the camera's axes, by the axis that is up, or by the device"""
 
 
 @dataclass(frozen=True)
@@ -66,69 +66,73 @@ class PointLayout:
     name: str
     title: str
     files: str
-    """What such a file is, as a phrase for messages and lists"""
+    """A phrase for such a file, for messages and lists"""
     source: str
-    """Where the program says so"""
+    """The address of the page on which the program describes its files"""
     marks: tuple[str, ...] = ()
     """Keys of an object, or columns of a table, by which a file is recognised: all that stand in one of
     these, as in "a b\""""
     names: Callable[[Iterable[str]], bool] | None = None
     """True for names of points, an object's keys or a table's columns, by which a file is recognised"""
     table: Callable[[Table], bool] = lambda _: False
-    """True if a table is of it"""
+    """True if a table is of this layout"""
     recognises: Callable[[Document], bool] = lambda _: False
-    """True if any other file or folder is of it"""
+    """True if any other file or folder is of this layout"""
     columns: str = "xy xyz xyzc"
-    """What a list of numbers is that stands for a point, for each length: c is the confidence"""
+    """The meaning of a list of numbers that stands for a point, for each length that it may have: c is the
+    confidence"""
     people: str = ""
-    """The keys that a frame's list of people may have; empty: hands stand in the frame itself"""
+    """The keys under which a frame may have its list of people; empty where hands stand in the frame
+    itself"""
     order: str = ""
-    """Of `ORDERS`; empty: as the names of points or the bones tell"""
+    """The order of the points, a key of `ORDERS`; empty where the names of points or the bones tell it"""
     grouped: bool = False
     """True if each person or hand stands alone in a list, with the number of its frame"""
     hands: Callable[[Any], Any] = lambda frame: frame
-    """From a frame, or with `people` from each of these, to objects with `side` and `points`, where hands are
-    told in another way"""
+    """Turns a frame, or with `people` each person, into objects with `side` and `points`, where a file tells
+    hands in another way"""
     read: Callable[[Document], Frames | None] = lambda _: None
-    """The frames of what is neither JSON's frames nor a table or arrays"""
+    """Returns the frames of a file that is neither JSON's frames nor a table or arrays"""
     persons: Literal["one", "told", "unknown"] = "unknown"
-    """True if a file is of one person, or tells them; else nobody can be chosen"""
+    """Whether a file is of one person, or tells which person a hand is of; with "unknown" no person can be
+    chosen"""
     least: float = 0.0
-    """Mean confidence below which a hand in a picture is left out"""
+    """Mean confidence, 0..1, below which a hand in a picture is left out"""
     from_below: bool = False
     """True if parts of a picture count from its lower left corner"""
     halved: bool = False
     """True if parts of a picture's size may go from -1 to 1"""
     units: Mapping[str, float] | None = None
-    """Metres of the units that points in space may have, the usual one first; None: points are in the plane,
-    or in metres of the camera frame"""
+    """Metres of each unit that points in space may have, the usual one first; None where points are in the
+    plane, or in metres of the camera frame"""
     up: str = "y"
-    """Of `AXES`: which axis of such space is up, or whose axes they are"""
+    """The axes of space in which points are, a key of `AXES`: which axis is up, or whose axes they are"""
     mirrored: bool = False
     """True if such space may be left-handed, with z away from who looks, as Unity's is"""
     on_joints: bool = False
-    """True if points in space are a skeleton's joints"""
+    """True if points in space are a skeleton's joints, rather than points on the skin"""
     posed: Callable[[np.ndarray, HandModel, list[str]], HandMotion] | None = None
-    """From joints (T, 21, 7), places in metres and quaternions, to the pose of that model; to the list, what
-    was assumed is added. None: hands are fitted to points"""
+    """Turns joints (T, 21, 7), places in metres and quaternions, into the pose of that model; adds what was
+    assumed to the list. None where hands are fitted to points"""
     sigma: float | None = 0.005
-    """Metres that points in space are expected to be off; None: as far as the lengths of bones change"""
+    """Metres that points in space are expected to be off; None where the change of the bones' lengths tells
+    it"""
     first: int = 1
-    """From what frames without numbers count"""
+    """The number of the first of frames without numbers"""
     ours: bool = False
     """True if this project writes it: several hands of a side stay apart, and what is not told is an error"""
     assumed: tuple[str, ...] = ()
-    """What is always assumed"""
+    """Phrases about what is assumed of every file"""
     met: str = ""
     """The real file that it was tried with: project and date; empty: it was written by the description"""
     assumes: str = ""
     """What is assumed of every file, for the table of docs/interchange.md"""
     hint: str = ""
-    """What to do where there are no hands"""
+    """What the user can do where a file has no hands"""
 
     @property
     def reader(self) -> Reader:
-        """What reads it."""
+        """The reader of files in this layout."""
         return Reader(self.title, self.files, self._recognises, self._read, self.met, self.assumes)
 
     def _recognises(self, document: Document) -> bool:
@@ -169,7 +173,7 @@ class PointLayout:
             raise InputError(f"{path}: read as {self.title}, {str(error)[:300]}") from error
 
     def _with_hands(self, frames: Frames, document: Document, asked: ReadOptions) -> tuple[Frames, SeenHands]:
-        """The frames with what their hands tell, and these hands as the file has them."""
+        """Return the frames with what their hands tell about them, and these hands as the file has them."""
         columns = {len(each): each for each in self.columns.split()}
         told: list[tuple[Any, ...]] = []
         most, mirrored, named, guessed = 0, set(), set(), False
@@ -214,7 +218,8 @@ class PointLayout:
         return frames, hands
 
     def _people(self, content: Any) -> Sequence[Any]:
-        """What of a frame is asked for hands. Raises ValueError."""
+        """Return the people of a frame, or the frame itself, in which hands are looked for. Raises
+        ValueError."""
         if not self.people:
             return [self.hands(content)]
         found = keyed(content)
@@ -227,7 +232,8 @@ class PointLayout:
         return [self.hands(each) for each in people]
 
     def _parts(self, hand: JsonHand) -> Iterator[tuple[Any, ...]]:
-        """Side, number, score, points (K, 8) and world (K, 3) of each hand that a list of points has."""
+        """Yield side, number, score, points (K, 8) and world (K, 3) of each hand that a list of points
+        has."""
         count = len(hand.points)
         if count in BODIES:
             return
@@ -243,7 +249,8 @@ class PointLayout:
             yield code, hand.number, hand.score, hand.points[chosen], hand.world[chosen]
 
     def _recording(self, made: Recording, frames: Frames, hands: SeenHands, asked: ReadOptions) -> Recording:
-        """The recording: hands of known sides, in pixels or in parts of the picture, or before the camera."""
+        """Return the recording with hands of known sides, in pixels or in parts of the picture, or before the
+        camera."""
         said, in_space = [*made.assumed], frames.in_space
         if self.ours and np.any(hands.side == UNKNOWN):
             raise ValueError("some of them have no side; expected left or right")
@@ -282,7 +289,8 @@ class PointLayout:
     def _scaled(
         self, hands: SeenHands, frames: Frames, asked: ReadOptions, said: list[str]
     ) -> tuple[np.ndarray, bool]:
-        """Points (N, 21, 3) from the upper left corner, and whether they are parts of the picture's size."""
+        """Return points (N, 21, 3) counted from the upper left corner, and whether they are parts of the
+        picture's size."""
         points, deep = hands.points.copy(), hands.points[..., 2]
         if np.nanmax(np.abs(hands.keypoints)) > LIMITS.relative:
             if np.isfinite(deep).any() and np.nanmax(np.abs(deep)) <= LIMITS.relative:
@@ -302,7 +310,7 @@ class PointLayout:
         return points, True
 
     def _placed(self, hands: list[PointsHand], said: list[str]) -> list[PointsHand]:
-        """The hands in metres before the camera."""
+        """Return the hands in metres before the camera."""
         if not self.units:
             return hands
         guessed: list[str] = []
@@ -317,7 +325,8 @@ class PointLayout:
 
 
 def _names_in(document: Document) -> Iterator[Collection[str]]:
-    """The keys of objects in JSON, or a table's columns, and the first rows' cells of a table of hands."""
+    """Yield the keys of objects in JSON, or a table's columns, and the first rows' cells of a table of
+    hands."""
     table = document.table
     if table is None:
         yield from (each for content in some_contents(document) for each in objects_in(content))
@@ -327,8 +336,8 @@ def _names_in(document: Document) -> Iterator[Collection[str]]:
 
 
 def _from_minus_one(told: Sequence[tuple[Any, ...]]) -> bool:
-    """True if the points of hands lie between -1 and 1 (OpenPose's --keypoint_scale 4), where a missing point
-    is at (-1, -1), with the others at (0, 0)."""
+    """Return whether the points of hands lie between -1 and 1 (OpenPose's --keypoint_scale 4), where a
+    missing point is at (-1, -1), with the others at (0, 0)."""
     points = np.concatenate([np.empty((0, 8)), *(hand[4] for hand in told)])
     missing = points[points[:, 3] == 0.0, :2]
     at_corner, at_zero = (np.all(missing == place, axis=1).any() for place in (-1.0, 0.0))

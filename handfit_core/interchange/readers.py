@@ -22,15 +22,15 @@ class Reader:
     """One format of hands or keypoints."""
 
     title: str
-    """The format's own name"""
+    """The format's own name, for people"""
     layout: str
-    """Such a file, as a phrase for messages and lists"""
+    """A phrase for such a file, for messages and lists"""
     recognises: Callable[[Document], bool]
     """True if a file or folder is of this format, by its contents rather than its name. Raises nothing for
     files of other formats, however damaged"""
     read: Callable[[Document, ReadOptions], Recording]
-    """Reads it. Raises InputError, whose sentence says what was found and what was expected, and OptionError
-    for an option without which it cannot be read"""
+    """Reads a file or folder of this format. Raises InputError, whose sentence says what was found and what
+    was expected, and OptionError for an option without which it cannot be read"""
     met: str = ""
     """The real file that it was tried with: project and date; empty: it was written by the description"""
     assumed: str = ""
@@ -83,8 +83,8 @@ of users and of other packages. MediaPipe's comes last: it takes whatever has 21
 
 
 def recognised(document: Document, name: str | None = None) -> tuple[str, Reader]:
-    """The reader of a document, and its name. Raises InputError where none recognises it, OptionError for a
-    name that there is not."""
+    """Return the name of the reader of a document, and the reader. Raises InputError where none recognises
+    it, OptionError for a name that there is not."""
     if name is not None:
         return name, READERS.get(name)
     ours = READERS.built_in()
@@ -99,17 +99,19 @@ def recognised(document: Document, name: str | None = None) -> tuple[str, Reader
 
 
 BY_DESCRIPTION: Final = "by its description, and on no file of that program: look whether it is right"
-"""The note on formats of which no real file was met"""
+"""The note on formats that were tried with no real file"""
 
 
 def tried_with(recording: Recording) -> str:
-    """The real file that the reader of a recording was tried with; empty for those of other packages."""
+    """Return the real file that the reader of a recording was tried with; empty for readers of other
+    packages."""
     if recording.format not in READERS.built_in():
         return ""
     return READERS.get(recording.format).met or BY_DESCRIPTION
 
 
 def program_of(recording: Recording) -> str:
-    """The name of the program whose hands these are: its format's title, else the format's name."""
+    """Return the name of the program that found the recording's hands: its format's title, else the format's
+    name."""
     reader = READERS.all().get(recording.format)
     return recording.format if reader is None else reader.title

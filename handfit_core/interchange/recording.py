@@ -21,18 +21,18 @@ from handfit_core.take import TAKE_LIMITS
 VIRTUAL_SIZE: Final = 1920, 1080
 """Pixels of the picture of the camera that is taken for hands that no picture belongs to"""
 VIRTUAL_DISTANCE: Final = 0.8
-"""Metres from that camera to hands that have no place of their own"""
+"""Metres from the assumed camera to hands whose file does not say where they lie"""
 _APART: Final = 0.35
 """Metres between the origins of a left and a right hand that have no place: their wrists, each 0.1 m towards
 the other hand from its origin, are 0.15 m apart"""
 UNKNOWN: Final = -1
-"""A side that is not told"""
+"""Stands in arrays of sides for a side that the file does not tell"""
 LEAST_POINTS: Final = 6
-"""Points of a hand without which nothing can be said of its pose"""
+"""The fewest points of a hand from which something can be said of its pose"""
 
 
 def known(numbers: np.ndarray) -> np.ndarray:
-    """(...) bool: where all numbers of the last axis are finite."""
+    """Return (...) bool: where all numbers along the last axis are finite."""
     return np.asarray(np.isfinite(numbers).all(axis=-1))
 
 
@@ -43,22 +43,23 @@ class SeenHands(Batch):
     K = 21 points stand in MediaPipe's order; while a file is read, all that may differ."""
 
     row: np.ndarray = array("N", kind="i")
-    """Which of the recording's T frames; not decreasing"""
+    """(N,) the index of each hand's frame among the recording's T; not decreasing"""
     side: np.ndarray = array("N", kind="i")
-    """Which of `SIDES` the true hand is of, or `UNKNOWN`"""
+    """(N,) the index in `SIDES` of each hand's true side, or `UNKNOWN`"""
     hand: np.ndarray = array("N", kind="i")
-    """Which of a frame's hands, where the file counts them"""
+    """(N,) the number of each hand within its frame, where the file counts hands"""
     score: np.ndarray = array("N")
-    """How sure it is that this is a hand, 0..1"""
+    """(N,) how sure it is that this is a hand, 0..1"""
     points: np.ndarray = array("N", NUM_KEYPOINTS, 3)
-    """x and y in the picture, and depth towards the scene, relative to the wrist, on the scale of x; NaN: not
-    known"""
+    """(N, 21, 3) pixels: x and y in the picture, and depth away from the camera, relative to the wrist, on
+    the scale of x; NaN where not known"""
     confidence: np.ndarray = array("N", NUM_KEYPOINTS)
-    """How sure each point is, 0..1; 0 for points that are missing"""
+    """(N, 21) how sure each point is, 0..1; 0 for points that are missing"""
     world: np.ndarray = array("N", NUM_KEYPOINTS, 3)
-    """metres about the hand's centre, axes as the camera frame's; NaN: not known"""
+    """The points in space: metres about the hand's centre, along the camera frame's axes; NaN where not
+    known"""
     turns: np.ndarray | None = array("N", NUM_KEYPOINTS, 4, default=None)
-    """How joints are turned, quaternions x, y, z, w; None: not told"""
+    """(N, 21, 4) how joints are turned, as quaternions x, y, z, w; None where the file does not tell"""
 
     @classmethod
     def of(cls, row: Any, side: Any, hand: Any, score: Any, told: Any, world: Any = np.nan) -> SeenHands:
@@ -88,7 +89,7 @@ class SeenHands(Batch):
 
     @property
     def keypoints(self) -> np.ndarray:
-        """(N, K, 2) x and y of points that are trusted at all; NaN: not seen."""
+        """(N, K, 2) x and y of points whose confidence is above 0; NaN for all others."""
         trusted = (self.confidence > 0.0)[..., None]
         return np.where(trusted & np.isfinite(self.points[..., :2]), self.points[..., :2], np.nan)
 
@@ -99,29 +100,32 @@ class PointsHand:
 
     side: Side = value(one_of(*SIDES))
     points: np.ndarray = array("T", NUM_KEYPOINTS, 3)
-    """metres in the camera frame (x right, y down, z forward), MediaPipe's order; NaN: unknown"""
+    """(T, 21, 3) metres in the camera frame (x right, y down, z forward), MediaPipe's order; NaN where
+    unknown"""
     on_joints: bool = True
     """True if the points are a skeleton's joints (a fingertip's lies on the skin), rather than where
     annotators click, as MediaPipe's do"""
     landmarks: Landmarks | None = None
-    """Where on our hand a skeleton's points lie that are not its joints; None: as `on_joints` says"""
+    """The places on our hand of a skeleton's points that are not its joints; None where `on_joints` says it
+    all"""
     sigma: float | None = None
-    """Metres that points are expected to be off; None: as far as the lengths of bones change"""
+    """Metres that points are expected to be off; None where the change of the bones' lengths tells it"""
 
     @property
     def present(self) -> np.ndarray:
-        """(T,) bool: frames in which there is enough of the hand to place it."""
+        """(T,) bool: frames in which enough of the hand is known to place it."""
         return np.asarray(known(self.points).sum(axis=1) >= LEAST_POINTS)
 
 
 def usual_place(side: Side) -> np.ndarray:
-    """(3,) metres: the transl, before a virtual camera, of hands whose place is not known."""
+    """(3,) metres: the `transl` given to a hand of that side whose file does not say where it lies: in front
+    of an assumed camera, left and right hands apart."""
     return np.array([_APART / 2.0 if side == "left" else -_APART / 2.0, 0.0, VIRTUAL_DISTANCE])
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a file may not tell, as the options of those names have it."""
+    """The user's options for what a file may not tell; each has the name of its option."""
 
     reader: str | None = None
     order: str | None = None
@@ -134,24 +138,24 @@ class ReadOptions:
 
     @property
     def rate(self) -> float:
-        """Frames per second of a file that does not tell: 0 stands for unknown there."""
+        """Frames per second that the user tells for a file that does not; 0 where unknown."""
         return self.fps or 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a file holds: T frames, and the hands in them, as they were seen in pictures or in space."""
+    """The content of a file: T frames, and the hands in them, as they were seen in pictures or in space."""
 
     format: str
-    """The reader's name"""
+    """The name of the reader that has read the file"""
     files: tuple[str, ...]
-    """Absolute paths of what was read"""
+    """Absolute paths of the files that were read"""
     fps: float
-    """Frames per second; 0: not told, as long as nobody needs them"""
+    """Frames per second; 0 where the file does not tell, as long as nobody needs them"""
     frame_numbers: np.ndarray
-    """(T,) int, increasing"""
+    """(T,) int, increasing: the numbers of the frames"""
     seen: SeenHands | None = None
-    """Hands in pictures; None: they are in space"""
+    """The hands in pictures; None where they are in space"""
     points: tuple[PointsHand, ...] = ()
     posed: tuple[HandMotion, ...] = ()
     """Hands with their poses; those whose place is not known lie where `usual_place` has them"""
@@ -160,7 +164,8 @@ class Recording:
     intrinsics: Intrinsics | None = None
     """The camera that the hands were seen with; None: not known"""
     assumed: tuple[str, ...] = ()
-    """What the file does not say and was assumed: phrases that begin with a small letter, for people"""
+    """Phrases for people, each beginning with a small letter, about what the file does not say and was
+    assumed"""
 
     def check(self) -> None:
         """Raise ValueError for numbers that no take can hold, or arrays that do not belong together."""
@@ -193,7 +198,7 @@ class Recording:
 
     @property
     def summary(self) -> str:
-        """What it holds, in one phrase."""
+        """A phrase for people about the recording's frames and hands."""
         if self.seen is not None:
             what = "keypoints in pictures" + (" with depth" if np.isfinite(self.seen.world).all() else "")
             counts = zip(SIDES, np.bincount(self.seen.side, minlength=2), strict=True)

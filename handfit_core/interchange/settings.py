@@ -1,4 +1,4 @@
-"""What other programs' files may hold, and how surely hands are told in them."""
+"""Limits on other programs' files, and bounds by which hands are told in them."""
 
 from __future__ import annotations
 
@@ -12,46 +12,46 @@ from handfit_core.common.files import shown
 
 @dataclass(frozen=True)
 class FileLimits:
-    """The most that is read of other programs' files: every reader's bound."""
+    """The most that is read of other programs' files; every reader keeps to it."""
 
     file_bytes: int = 1 << 29
-    """of one file"""
+    """Bytes of one file"""
     text_bytes: int = 1 << 27
-    """bytes of one JSON text, table or .bvh"""
+    """Bytes of one JSON text, table or .bvh"""
     parsed_bytes: int = 900_000_000
-    """bytes of memory that what is in one may take, together with the text"""
+    """Bytes of memory that the content of one text may take, together with the text"""
     array_bytes: int = 1 << 28
-    """bytes of all arrays of one file, with 8 bytes for each float"""
+    """Bytes of all arrays of one file, with 8 bytes for each float"""
     pickle_steps: int = 2_000_000
-    """instructions of a pickle, each of which may take a hundred bytes"""
+    """Instructions of a pickle, each of which may take a hundred bytes"""
     file_count: int = 1_000_000
-    """of a folder"""
+    """Files of a folder"""
     frames: int = 100_000
     points: int = 4_200_000
-    """frames times hands times points: two whole hands in each frame"""
+    """Frames times hands times points of a recording: two whole hands in each frame"""
     depth: int = 64
-    """of JSON's lists and objects in one another"""
+    """Levels of JSON's lists and objects within one another"""
     entries: int = 200_000
-    """lists and objects in one list of JSON, and keys of one of its objects"""
+    """Lists and objects in one list of JSON, and keys of one of its objects"""
     columns: int = 10_000
-    """of a table"""
+    """Columns of a table"""
     letters: int = 1000
-    """of a table's cell or a JSON key"""
+    """Letters of a table's cell or of a JSON key"""
     digits: int = 400
-    """of a number in JSON or a table; floats have 309 before their point"""
+    """Digits of a number in JSON or a table; floats have 309 before their point"""
     coordinate: float = 1e6
-    """pixels of a point"""
+    """Pixels of a point's coordinate, in either direction"""
     away: float = 1000.0
-    """metres of a hand from the origin"""
+    """Metres of a hand from the origin"""
     looked_at: int = 200
-    """Files of a folder that are looked at before it is said of what they are"""
+    """Files of a folder that are looked at before it is said whose format they are"""
     number_digits: int = 15
-    """of a frame's number"""
+    """Digits of a frame's number"""
     hands: int = 1000
-    """of one list in JSON, of which those after it are not read"""
+    """Hands of one list in JSON; those after them are not read"""
     bvh_bones: int = 2048
     relative: float = 3.0
-    """Beyond it, coordinates are no parts of the picture's size"""
+    """The magnitude beyond which coordinates are no parts of the picture's size"""
 
     def check(self, path: str | os.PathLike[str], frames: int, hands: int = 1, points: int = 21) -> None:
         """Raise InputError for more frames, or more points of hands in frames, than are read. It is called

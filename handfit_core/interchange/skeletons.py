@@ -1,4 +1,4 @@
-"""From the animated bones of any skeleton to hands: backwards what `retarget` does for characters."""
+"""The hands of any skeleton's animated bones: the inverse of what `retarget` does for characters."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ UP_AXES: Final = {
     "y": np.diag([1.0, -1.0, -1.0]),
     "z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
 }
-"""To the camera's axes (x right, y down, z forward) from those of a space with that axis up: y up and z
-towards whoever looks, as OpenGL, OpenXR and most motion capture have; z up, y away from them, as Blender
-has it"""
+"""(3, 3) rotations to the camera's axes (x right, y down, z forward) from those of a space with that axis up:
+y up and z towards whoever looks, as OpenGL, OpenXR and most motion capture have; z up, y away from whoever
+looks, as Blender has it"""
 
 _UNITS: Final = {"metres": 1.0, "centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001}
 
 
 @dataclass(frozen=True, eq=False)
 class AnimatedBones:
-    """B bones over T frames."""
+    """The motion of B bones over T frames, in the skeleton's space and unit."""
 
     bones: Bones
-    """At rest; each bone's frame is the identity"""
+    """The bones at rest, where each bone's frame is the identity"""
     turned: np.ndarray
-    """(T, B, 3, 3) how each is turned from its rest, in the skeleton's space"""
+    """(T, B, 3, 3) rotations of each bone from its rest, in the skeleton's space"""
     heads: np.ndarray
-    """(T, B, 3) where each begins"""
+    """(T, B, 3) places in the skeleton's unit at which each bone begins"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +47,11 @@ class HandOfBones:
     posed: HandMotion
     hand_map: HandMap
     unit: float
-    """metres that the skeleton's unit is"""
+    """How many metres the skeleton's unit is"""
 
 
 def hand_of_bones(animated: AnimatedBones, model: HandModel, up: np.ndarray) -> HandOfBones | None:
-    """The hand of the model's side; None where the bones have none.
+    """Find the hand of the model's side; None where the bones have none.
 
     `up` (3, 3) leads from the skeleton's axes to the camera's. Directions of all bones are met; twists are
     kept relative to the rest pose. Where bones are as long as the model's own are with some shape, that
@@ -85,22 +85,23 @@ def hand_of_bones(animated: AnimatedBones, model: HandModel, up: np.ndarray) -> 
 
 
 def unit_of(metres: float) -> float:
-    """The usual unit that is nearest to `metres`, or that itself where none is near."""
+    """Return the usual unit that is nearest to one of so many metres, in metres; the argument itself where
+    none is near."""
     nearest = min(_UNITS.values(), key=lambda unit: abs(np.log(metres / unit)))
     # Times our mean hand that other hands are long or short, where a unit is guessed by it
     return nearest if 1.0 / 1.35 < metres / nearest < 1.35 else metres
 
 
 def name_of_unit(metres: float) -> str:
-    """The name of a unit."""
+    """Return the name of a unit of so many metres."""
     return next((name for name, unit in _UNITS.items() if unit == metres), f"units of {metres:.3g} metres")
 
 
 def _own_shape(
     bones: Bones, hand_map: HandMap, target: TargetHand, model: HandModel, unit: float
 ) -> np.ndarray:
-    """The betas (10,) with which the model has bones of these lengths and knuckles in these places, in the
-    skeleton's rest pose; zeros where it has none, as characters' hands do not."""
+    """Return the betas (10,) with which the model has bones of these lengths and knuckles in these places, in
+    the skeleton's rest pose; zeros where it has none, as for characters' hands."""
     betas = np.zeros(NUM_BETAS)
     if "" in hand_map.bones or len(set(hand_map.bones)) != len(hand_map.bones):
         return betas
@@ -125,8 +126,8 @@ def _own_shape(
 
 
 def _lengths(joints: np.ndarray, tips: np.ndarray, side: Side) -> np.ndarray:
-    """(30,) what no pose of the fingers changes: where fingers begin, seen from the palm, and how long bones
-    are; metres."""
+    """Return (30,) metres that no pose of the fingers changes: where fingers begin, seen from the palm, and
+    how long bones are."""
     begins = [FINGER_JOINTS[finger][0] for finger in FINGERS]
     knuckles = {finger: joints[joint] for finger, joint in zip(FINGERS, begins, strict=True)}
     frame, _ = palm_frame(joints[0], knuckles, side)
@@ -137,7 +138,7 @@ def _lengths(joints: np.ndarray, tips: np.ndarray, side: Side) -> np.ndarray:
 
 
 def no_hand(bones: Bones) -> str:
-    """The sentence for a skeleton without hands."""
+    """Return the sentence for a skeleton without hands."""
     named = ", ".join(name[:40] for name in bones.names[-6:])
     return (
         f"none of its {len(bones.names)} bones are a hand with fingers (the last ones are {named}); expected "

@@ -19,11 +19,11 @@ from handfit_core.interchange.settings import LIMITS
 _SLOTS: Final = {"x": 0, "y": 1, "z": 2, "c": 3}
 _NUMBER: Final = re.compile(r"[+-]?\d+(\.\d*)?(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 _IN_PLANE: Final = ("{}", "{}norm", "normalized{}", "{}px")
-"""What may stand about x, y and z in the columns of a table whose rows are points"""
+"""The forms that the names of x, y and z may have in the columns of a table whose rows are points"""
 
 
 def columns_of(table: Table) -> list[PointColumn] | None:
-    """The columns of points where each row is a hand or two; None for other tables."""
+    """Return the columns of points where each row holds a hand or two; None for other tables."""
     columns = point_columns(table.columns)
     named = {column.point for column in columns if column.axis in "xy"}
     # Points that a table's columns must name before it counts as one of hands
@@ -31,18 +31,19 @@ def columns_of(table: Table) -> list[PointColumn] | None:
 
 
 def is_hand_table(table: Table) -> bool:
-    """True if a table holds points of hands."""
+    """Return whether a table holds points of hands."""
     return columns_of(table) is not None or HandTable(table).is_long
 
 
 def frames_of_table(document: Document, *, first: int = 1, ours: bool = False) -> Frames | None:
-    """The frames of a table; None without one. `first`: from what frames without numbers count; `ours`: it is
-    a table of this project, in which everything is named. Raises ValueError for what is no table of hands."""
+    """Return the frames of a table; None without one. `first`: the number of the first of frames without
+    numbers; `ours`: it is a table of this project, in which everything is named. Raises ValueError for what
+    is no table of hands."""
     return None if document.table is None else HandTable(document.table).frames(document, first, ours=ours)
 
 
 class HandTable:
-    """A table with what its columns hold."""
+    """A table of R rows with points of hands, and the meaning of its columns."""
 
     def __init__(self, table: Table) -> None:
         if "trajectory" in table.columns:  # FreeMoCap's, of which the filtered ones come after
@@ -55,31 +56,32 @@ class HandTable:
         self._count = len(table.rows)
 
     def _column(self, names: Iterable[str]) -> str:
-        """The first of these columns, by plain names, that there is; empty: none."""
+        """Return the first of these columns, by plain names, that there is; empty where there is none."""
         return next((self._named[name] for name in names if name in self._named), "")
 
     def _texts(self, kind: str) -> list[str]:
-        """(R) the cells of the first column of a kind; empty texts without one."""
+        """Return the R cells of the first column of a kind; empty texts where there is none."""
         name = self._column(KEYS[kind])
         return self.table.texts(name) if name else [""] * self._count
 
     def _numbers(self, *names: str) -> np.ndarray:
-        """(R,) the numbers of the first of these columns; NaN without one."""
+        """Return (R,) numbers of the first of these columns that there is; NaN where there is none."""
         name = self._column(names)
         return self.table.numbers([name])[:, 0] if name else np.full(self._count, np.nan)
 
     def _axes(self, *endings: str) -> list[str]:
-        """The columns of x, y and z where each row is a point, by what may stand about the letters."""
+        """Return the columns of x, y and z where each row is a point; `endings`: the forms that a column's
+        name may have, with {} for the letter."""
         return [name for axis in "xyz" if (name := self._column(e.format(axis) for e in endings))]
 
     @property
     def is_long(self) -> bool:
-        """True if each row is a point of a hand."""
+        """True if each row is one point of a hand."""
         points = self._texts("point")[:200]
         return len(self._axes(*_IN_PLANE)) > 1 and any(place_of(text) is not None for text in points)
 
     def frames(self, document: Document, first: int, *, ours: bool) -> Frames:
-        """What `frames_of_table` gives."""
+        """Return the frames of the table, as `frames_of_table` does."""
         columns, numbers, assumed, in_space = columns_of(self.table), self._frames(), "", False
         if columns is not None:
             named = all(column.named for column in columns)
@@ -111,7 +113,8 @@ class HandTable:
         return replace(frames, order="mediapipe" if named else "", in_space=in_space)
 
     def _frames(self) -> np.ndarray | None:
-        """(R,) the frame of each row; of a text such as a file's name, its last number. Raises ValueError."""
+        """Return (R,) the frame number of each row, which of a text such as a file's name is its last number;
+        None where no column tells. Raises ValueError."""
         name = self._column(KEYS["frame"])
         if not name:
             return None
@@ -125,17 +128,17 @@ class HandTable:
         return np.array(numbers)
 
     def _sides(self) -> list[str]:
-        """(R) what tells the side of each row: a column, or the names of points."""
+        """Return R texts that tell the side of each row: a column, or the names of points."""
         named = (self.table.texts(self._named[key]) for key in KEYS["side"] if key in self._named)
         told = next((texts for texts in named if any(map(side_named, set(texts)))), None)
         return self._texts("point") if told is None else told
 
     def _hand(self) -> np.ndarray:
-        """(R,) which of a frame's hands each row is of."""
+        """Return (R,) the number of the hand within its frame that each row is of."""
         return np.nan_to_num(self._numbers(*KEYS["hand"])).clip(-1e6, 1e6).astype(int)
 
     def _hands_of_rows(self, columns: list[PointColumn], path: Path) -> list[Any]:
-        """(R) the hands of rows that hold whole ones."""
+        """Return for each of the R rows its hands, where rows hold whole ones."""
         groups = sorted({(column.side or "", column.hand) for column in columns})
         LIMITS.check(path, self._count, len(groups))
         told = np.full((self._count, len(groups), NUM_KEYPOINTS, 7), np.nan)
@@ -161,7 +164,7 @@ class HandTable:
         ]
 
     def _hands_of_points(self, frames: np.ndarray, axes: list[str], path: Path, *, ours: bool) -> list[Any]:
-        """(R) the hands of rows that hold a point each, each beside its first row."""
+        """Return for each of the R rows the hand that begins there, where rows hold a point each."""
         texts, sides, hands = self._texts("point"), self._sides(), self._hand()
         if len(axes) < 2 or not self._column(KEYS["point"]):
             raise ValueError(f"none of its {len(self.table.columns)} columns is a point of a hand")
@@ -205,6 +208,6 @@ class HandTable:
 
 
 def _counts(text: str) -> bool:
-    """True if a cell counts points rather than names one."""
+    """Return whether a cell counts points rather than names one."""
     number = text.removesuffix(".0")
     return number.isascii() and number.isdigit()

@@ -1,4 +1,4 @@
-"""From a recording to what a take is made of: detections that are fitted, or hands that are posed already."""
+"""The material of a take out of a recording: detections that are fitted, or hands that are posed already."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from handfit_core.interchange.recording import LEAST_POINTS, VIRTUAL_DISTANCE, P
 
 
 def detected_in(recording: Recording) -> Detected:
-    """The hands of a recording's pictures, as if a detector had found them; those with too few points are
-    left out."""
+    """Return the hands of a recording's pictures, as if a detector had found them; those with too few points
+    are left out."""
     assert recording.seen is not None
     hands = recording.seen.select(known(recording.seen.keypoints).sum(axis=1) >= LEAST_POINTS)
     found = Detections.collect(len(hands), (lifted(hands.select(part)) for part in slices(len(hands))))
@@ -30,7 +30,7 @@ def detected_in(recording: Recording) -> Detected:
 
 
 def tracks_of(recording: Recording, intrinsics: Intrinsics) -> list[Track]:
-    """Each hand of points in space, as if it had been seen by that camera; it must lie before it
+    """Return each hand of points in space as if it had been seen by that camera, before which it must lie
     (`before_camera`)."""
     return [_track_of(hand, intrinsics, recording.fps) for hand in recording.points]
 
@@ -45,8 +45,8 @@ def _track_of(hand: PointsHand, intrinsics: Intrinsics, fps: float) -> Track:
 
 
 def _sigma_of(points: np.ndarray) -> float:
-    """Metres that points (T, 21, 3) err by, told by how much the lengths of a hand's bones change, which they
-    truly do not."""
+    """Return how many metres points (T, 21, 3) err by, told by how much the lengths of a hand's bones change,
+    which they truly do not."""
     lengths = np.linalg.norm(points[:, 1:] - points[:, KEYPOINT_PARENTS[1:]], axis=-1)
     lengths = lengths[:, np.isfinite(lengths).any(axis=0)]
     change = np.abs(lengths - np.nanmedian(lengths, axis=0))
@@ -62,8 +62,8 @@ def _sigma_of(points: np.ndarray) -> float:
 def _seen_point_by_point(
     side: Side, frame: np.ndarray, points: np.ndarray, sigma: float, intrinsics: Intrinsics
 ) -> Detections:
-    """Points (N, 21, 3) in metres in those frames (N,) as a detector would tell of them, with what is
-    expected of their errors."""
+    """Return points (N, 21, 3) in metres, in the frames `frame` (N,), as a detector would tell of them;
+    `sigma` is their expected error in metres."""
     sure, index = known(points), np.full(len(points), SIDES.index(side))
     middle = np.where(sure[..., None], points, 0.0).sum(axis=1) / sure.sum(axis=1)[:, None]
     filled = np.where(sure[..., None], points, middle[:, None])
@@ -90,7 +90,7 @@ def _seen_point_by_point(
 
 
 def only_present(recording: Recording) -> Recording:
-    """The recording without hands that are in none of its frames."""
+    """Return the recording without hands that are in none of its frames."""
     seen = recording.seen
     if seen is not None:
         seen = seen.select(known(seen.keypoints).sum(axis=1) >= LEAST_POINTS)
@@ -101,9 +101,10 @@ def only_present(recording: Recording) -> Recording:
 
 
 def before_camera(recording: Recording, *, placed: bool) -> Recording:
-    """The recording with its hands before a camera. Those without a place get one. Others stay where they are
-    if they are `placed`, that is, lie beside pictures or as a camera that is known has them, and not behind
-    it; else they are brought into a virtual camera's view, all by the same way, which `assumed` tells."""
+    """Return the recording with its hands before a camera. Hands without a place get one. Others stay where
+    they are if they are `placed`, that is, lie beside pictures or as a camera that is known has them, and not
+    behind it; else they are brought into a virtual camera's view, all by the same shift, which `assumed`
+    tells."""
     posed = [hand.posed_at(hand.present) for hand in recording.posed]
     places = [hand.transl[hand.present] for hand in posed]
     places += [np.nanmean(hand.points[hand.present], axis=1) for hand in recording.points]
@@ -121,7 +122,8 @@ def before_camera(recording: Recording, *, placed: bool) -> Recording:
 
 
 def _before_camera(places: np.ndarray, placed: bool) -> np.ndarray:
-    """(3,) metres that bring hands at places (N, 3) into a camera's view; zeros for those that stay."""
+    """Return the shift (3,) in metres that brings hands at places (N, 3) into a camera's view; zeros where
+    they stay."""
     low, high = places.min(axis=0), places.max(axis=0)
     in_view = low[2] >= 0.25 and np.abs([low[:2], high[:2]]).max() < 0.4 * low[2]
     if in_view or (placed and np.median(places[:, 2]) > 0.0):
@@ -137,8 +139,8 @@ def seen_of(
     fps: float,
     score: np.ndarray | None = None,
 ) -> Track:
-    """What a detector that errs nowhere would see of a hand: with it a take's hand can be fitted again.
-    `score` (T,): how sure each frame is; None: certain."""
+    """Return what a detector that errs nowhere would see of a hand: with it a take's hand can be fitted
+    again. `score` (T,): how sure each frame is, 0..1; None where all are certain."""
     rows = np.flatnonzero(motion.present)
     points = np.empty((len(rows), NUM_KEYPOINTS, 3))
     if len(rows):

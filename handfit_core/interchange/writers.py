@@ -21,14 +21,15 @@ class Writer:
     """One format that takes are written in."""
 
     title: str
-    """The format's own name"""
+    """The format's own name, for people"""
     endings: tuple[str, ...]
-    """Of its files' names, the usual one first, as in (".smplx.npz",)"""
+    """Endings of the format's file names, the usual one first, as in (".smplx.npz",)"""
     write: Callable[[Take, Path], None]
-    """Writes it into a file that may not exist, and is moved to its place afterwards. Raises OutputError, and
-    OptionError for a take that the format cannot hold"""
+    """Writes a take into a file that need not exist yet, and is moved to its place afterwards. Raises
+    OutputError, and OptionError for a take that the format cannot hold"""
     write_wrist: Callable[[Take, Path], None] | None = None
-    """Writes the file with how hands turn to their forearms, as far as that can be said; None: no question"""
+    """Writes the file with how hands turn to their forearms, as far as that can be said; None for a format
+    without this choice"""
 
 
 _HERE: Final = "handfit_core.interchange.formats"
@@ -51,7 +52,7 @@ WRITERS: Final = Registry(
 
 
 def writer_for(path: Path, name: str | None = None) -> Writer:
-    """The writer of that name, or the one whose ending the path has: the longest that fits. Raises
+    """Return the writer of that name, or the one whose ending the path has: the longest that fits. Raises
     OptionError."""
     if name is not None:
         return WRITERS.get(name)

@@ -33,18 +33,18 @@ class InputChanged(InputError):
 
 @dataclass(frozen=True)
 class Settings:
-    """What all tasks of a command have in common; it can be pickled."""
+    """The settings that all tasks of a command have in common; they can be pickled."""
 
     options: Mapping[str, Any] = field(default_factory=dict)
     """The captures' options, as `CaptureOptions.to_message` gives them"""
     sheet: bool = True
-    """Whether contact sheets are wanted"""
+    """True if contact sheets are wanted"""
     timeout: float | None = None
     """Seconds that one input may take; the process that needs more is ended"""
     again: bool = False
-    """Whether to do what is done already, too"""
+    """True if what is done already is to be done again"""
     run: str = ""
-    """Stands for the command, whose results are not made twice"""
+    """A text that stands for the command, which does not make the results again that it has made"""
     version: str = __version__
 
 

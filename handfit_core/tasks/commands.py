@@ -62,7 +62,7 @@ def _batch(args: argparse.Namespace) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
-    """Do what is left. Returns the exit code. Raises OptionError where nothing can be tried."""
+    """Do what is left of a batch. Returns the exit code. Raises OptionError where nothing can be tried."""
     options, output = CaptureOptions.of_arguments(args), args.output.absolute()
     batch = BatchOptions.of_arguments(args)
     tasks = make_tasks(
@@ -117,7 +117,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _export(tasks: Sequence[Task], output: Path, exports: Exports, progress: Progress) -> None:
-    """Have files made of the takes that lack some."""
+    """Have files made of the takes that lack some, and tell of each."""
     left = []
     for task in tasks:
         if progress.results[task.key].status != "ok":
@@ -150,7 +150,8 @@ def _is_left(result: Result, batch: BatchOptions) -> bool:
 
 
 def _workers(output: Path, settings: Settings, batch: BatchOptions, jobs: int, *, alone: bool) -> Workers:
-    """Who captures; `alone`: nothing comes after it. Raises OptionError."""
+    """Choose who captures: this process, processes of this machine, or a Dask cluster; `alone`: nothing comes
+    after it. Raises OptionError."""
     if batch.scheduler is not None:
         return DaskWorkers(output, settings, batch.scheduler, jobs)
     # A process that dies or takes too long must not be this one, unless somebody wants it so.
@@ -167,7 +168,7 @@ def _tell(
     output: Path,
     batch: BatchOptions,
 ) -> int:
-    """What would be done."""
+    """Print what the batch would do, without doing it; returns the exit code."""
     count = 0
     for task, result in found:
         status, said = "to do", task.error

@@ -21,7 +21,7 @@ class SameVersions(WorkerPlugin):
         self.version, self.python = version, python.rpartition(".")[0]
 
     def setup(self, worker: Any) -> None:
-        """Raises OptionError."""
+        """Check a worker's versions as it starts. Raises OptionError where they are not the client's."""
         python, said = platform.python_version().rpartition(".")[0], ""
         if python != self.python:
             said = f"runs Python {python}, and the batch {self.python}; use one everywhere"

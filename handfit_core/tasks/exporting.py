@@ -27,23 +27,24 @@ from handfit_core.tasks.workers import ProcessDied, Workers
 
 @dataclass(frozen=True)
 class Exports:
-    """What is to be made of all takes of a batch."""
+    """The files that are to be made of all takes of a batch, and the Blender that makes them."""
 
     command: Sequence[str]
-    """Starts a Blender that makes files"""
+    """The command that starts a Blender that makes files"""
     environment: Mapping[str, str]
     """Variables of that Blender's Python, which this process's Python does not have"""
     given: Mapping[str, Any]
-    """What that Blender is told of all takes"""
+    """The fields that this Blender is told about all takes, as JSON can hold them"""
     formats: Sequence[str]
     key: str
-    """Changes with what decides the files of a take, beside the options of the capture"""
+    """A key that changes with what decides the files of a take, beside the options of the capture"""
     options: BatchOptions
     debug: bool = False
-    """Whether what the Blenders say on stderr is shown"""
+    """True if what the Blenders say on stderr is shown"""
 
     def entry(self, task: Task, output: Path, *, again: bool = False) -> Result:
-        """What the report says of a task: pending while formats are missing, all of them with `again`."""
+        """Return the report's entry of a task, which is pending while formats are missing; with `again` all
+        of them count as missing."""
         result = result_of(task, Record.read(task.record(output)), task.folder(output))
         if result.status == "ok":
             exported = Exported(task, output, self.key)
@@ -60,14 +61,15 @@ class Exported:
     """The files that were made of one task's take."""
 
     def __init__(self, task: Task, output: Path, options: str) -> None:
-        """`output`: the folder of all results. `options`: the key of those of the exports."""
+        """Read the record of a task's files. `output`: the folder of all results. `options`: the key of the
+        exports' options."""
         self.folder, self._prefix = task.folder(output), "" if task.flat else f"{task.name}/"
         self._path = self.folder / f"{task.name}.export.json"
         self._key = hashlib.sha256(f"{task.key} {options}".encode()).hexdigest()[:16]
         self.result = Result(task.shown, task.name, status="ok", id=task.key)
-        """Has the `warnings`, `character` and `seconds` of the export"""
+        """The result of the export, with its `warnings`, `character` and `seconds`"""
         self.formats: dict[str, dict[str, int]] = {}
-        """By format, the files that are there, with their sizes"""
+        """For each format, the names of the files that are there, with their sizes in bytes"""
         self._of_others, self._changed = list[str](), list[str]()
         if (record := Record.read(self._path)) is None:
             return
@@ -81,8 +83,8 @@ class Exported:
                 self.formats[fmt] = {name: record.files.get(name, -1) for name in names}
 
     def left(self, formats: Sequence[str], *, again: bool, overwrite: bool) -> list[str]:
-        """The formats that have to be made, with `again` all of them. Raises OutputError where files of other
-        options are there, unless `overwrite`."""
+        """Return the formats that have to be made, with `again` all of them. Raises OutputError where files
+        of other options are there, unless `overwrite`."""
         if self._of_others and not overwrite:
             raise OutputError(
                 f"{shown(self.folder / self._of_others[0])}: is there already, made with other options; "
@@ -91,7 +93,8 @@ class Exported:
         return [fmt for fmt in formats if again or fmt not in self.formats]
 
     def begin(self, formats: Sequence[str]) -> None:
-        """Forget what was made of these formats; where nothing else is left, also what was said of it."""
+        """Forget what was made of these formats; where nothing else is left, also the warnings and the
+        character."""
         self.formats = {fmt: files for fmt, files in self.formats.items() if fmt not in formats}
         if not self.formats:
             self.result = replace(self.result, warnings=[], seconds=0.0, character=None)
@@ -119,8 +122,8 @@ class Exported:
 
 
 class Exporters(Workers):
-    """Has Blenders of this machine make files, one take after another each; a thread waits for each Blender.
-    A take at which a Blender dies is tried once more, alone."""
+    """The Blenders of this machine that make files, each of one take after another; a thread waits for each
+    Blender. A take at which a Blender dies is tried once more, alone."""
 
     tries = 2
     are_others = True
@@ -133,19 +136,19 @@ class Exporters(Workers):
         self._closing = False
 
     def submit(self, task: Task) -> Future[Result]:
-        """Have files made of a task's take; gives the task's entry of the report."""
+        """Have files made of a task's take; the future holds the task's entry of the report."""
         return self._threads.submit(self._export, task)
 
     def told(self, task: Task) -> None:
-        """What a Blender has made before it died is made again."""
+        """Return None: what a Blender has made before it died is made again."""
 
     def lost(self, task: Task, tried: Sequence[Attempt]) -> Result:  # noqa: ARG002
-        """The entry of a task at which Blender has died each time."""
+        """Return the entry of a task at which a Blender has died each time."""
         why = "Blender crashed twice while it made files of it; try again with --debug"
         return replace(self._exports.entry(task, self.output), status="failed", error=why)
 
     def close(self) -> None:
-        """End the Blenders: those at work at once."""
+        """End the Blenders, those at work at once."""
         self._closing = True
         for child in list(self._busy):
             child.kill()
@@ -172,7 +175,8 @@ class Exporters(Workers):
         return replace(entry, status="failed", error=error) if error else entry
 
     def _answer(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
-        """What a Blender says that it has made. Raises ProcessDied, and TimeoutError once it was ended."""
+        """Have a Blender make files; returns what it says that it has made. Raises ProcessDied, and
+        TimeoutError once it was ended."""
         child = self._idle.pop() if self._idle else self._start()
         self._busy.append(child)
         assert child.stdin is not None
@@ -201,7 +205,7 @@ class Exporters(Workers):
         return json.loads(said.removeprefix(EXPORTED))
 
     def _start(self) -> subprocess.Popen[str]:
-        """A Blender that waits for takes; it ends with its stdin, and so with this process."""
+        """Start a Blender that waits for takes; it ends with its stdin, and so with this process."""
         environment = {name: text for name, text in os.environ.items() if not name.startswith("PYTHON")}
         child = subprocess.Popen(
             self._exports.command,

@@ -26,28 +26,28 @@ log = logging.getLogger("handfit")
 
 PREVIEW_SUFFIX: Final = ".preview.png"
 _OURS: Final = (SUFFIX, PREVIEW_SUFFIX, ".export.json")
-"""What names of results end with that may lie among the inputs, and are none"""
+"""The endings of results' names that may lie among the inputs, and are none"""
 PAIRS: Final = "*_b"
-"""The second view of a batch in which NAME_a and NAME_b are two views of one capture"""
+"""The input that stands for a batch in which NAME_a and NAME_b are two views of one capture"""
 _VIEW_NAME: Final = re.compile(r"(.+)_([a-z])", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class Input:
-    """What to capture, or the take to use, and the name that its results would like to have."""
+    """One thing to capture, or a take to use, and the name that its results would like to have."""
 
     shown: str
     name: str
     source: tuple[str, ...] = ()
     view: str = ""
-    """The clip of a second camera that filmed the same hands"""
+    """The clip of a second camera that filmed the same hands; empty where there is none"""
     take: Path | None = None
     error: str = ""
-    """Why it cannot even be tried"""
+    """The reason why it cannot even be tried; else empty"""
 
 
 def expand(text: str, grouping: str | None = None) -> list[Input]:
-    """The inputs of one INPUT.
+    """Return the inputs that one INPUT of the command line names.
 
     A folder or a glob pattern gives one per video, and one for the numbered pictures that a capture of it
     reads, or one per photo where there are none (`grouping` forces either: "sequence" or "separate"). Contact
@@ -97,8 +97,8 @@ def _group(
 
 
 def paired(inputs: Iterable[Input]) -> list[Input]:
-    """The inputs, with clips NAME_a and NAME_b that lie side by side made one input, NAME, of two views. One
-    of them may be named for both; what has no other view stays as it is."""
+    """Return the inputs, with clips NAME_a and NAME_b that lie side by side made one input, NAME, of two
+    views. One of them may be named for both; what has no other view stays as it is."""
     found: dict[object, Input] = {}
     for each in inputs:
         path = Path(each.source[0]) if len(each.source) == 1 else Path(each.shown)
@@ -115,7 +115,7 @@ def paired(inputs: Iterable[Input]) -> list[Input]:
 
 
 def _views(clip: Path, name: str) -> list[Path]:
-    """The clips NAME_a, NAME_b, ... in the folder of one of them, in this order."""
+    """Return the clips NAME_a, NAME_b, ... in the folder of one of them, in this order."""
     named = re.compile(re.escape(name) + "_[a-z]", re.IGNORECASE)
     there = clip.parent.iterdir() if clip.parent.is_dir() else ()
     found = (path for path in there if path.suffix.lower() in VIDEO_SUFFIXES)

@@ -22,9 +22,9 @@ from handfit_core.tasks.record import Attempt, Hand, Result
 _SEEN: Final = 0.8
 """Share of a clip's frames in which a hand was found, below which the clip is doubtful"""
 _DOUBTED: Final = 0.2
-"""Share of a hand's frames that are doubtful, above which the clip is, too"""
+"""Share of a hand's frames that are doubtful above which the clip is doubtful, too"""
 _SHOWN: Final = 3
-"""Warnings and attempts that are seen without a click"""
+"""How many warnings and attempts are seen without a click"""
 
 _SECTIONS: Final = {
     "failed": ("Failed", "These are not done. What went wrong, and in which attempts:"),
@@ -36,9 +36,9 @@ _SECTIONS: Final = {
     "good": ("Good", "Nothing speaks against these."),
     "pending": ("Waiting", ""),
 }
-"""Section -> its title and what stands below, in the order of the page"""
+"""For each section its title and the text below, in the order of the page"""
 _DONE: Final = ("doubtful", "unknown", "good")
-"""Sections of inputs of which a take was made"""
+"""The sections of inputs of which a take was made"""
 
 _STYLE: Final = """
 :root{color-scheme:light dark;--ground:#f6f6f4;--card:#fff;--text:#1d1f21;--faint:#62666b;--line:#dcdcd8;
@@ -96,8 +96,8 @@ def write_overview(
 
 
 def scale_and_error(hand: Hand) -> tuple[Scale | None, float]:
-    """How far off a hand of a result is likely to be, or lies from the picture where nobody looked; and in
-    what."""
+    """Return how far off a hand of a result is likely to be, or lies from the picture where nobody looked,
+    and the scale by which that number is measured."""
     likely = expected_scale(hand.detected)
     for scale, error in ((likely, hand.mean_expected_error), (IN_PICTURE, hand.mean_error_of_hand)):
         if hand.error_known and error is not None:
@@ -106,7 +106,7 @@ def scale_and_error(hand: Hand) -> tuple[Scale | None, float]:
 
 
 def _section_of(result: Result) -> str:
-    """Where a result stands on the page: one of `_SECTIONS`."""
+    """Return where a result stands on the page: one of `_SECTIONS`."""
     if result.status == "ok":
         doubted = not result.hands or result.warnings or any(_hand(h, result.frames)[1] for h in result.hands)
         unknown = not all(hand.error_known for hand in result.hands)
@@ -140,7 +140,8 @@ def _page(title: str, results: Sequence[Result], at: datetime | None) -> Iterato
 
 
 def _summary(sections: Mapping[str, Sequence[Result]]) -> Iterator[str]:
-    """What there is of each kind, what it took, and what is left."""
+    """Yield the page's summary: how many inputs there are of each kind, how long they took, and what is
+    left."""
     links = (
         f'<a class={name} href="#{name}">{_count(len(found))} {_SECTIONS[name][0].lower()}</a>'
         for name, found in sections.items()
@@ -160,7 +161,7 @@ def _summary(sections: Mapping[str, Sequence[Result]]) -> Iterator[str]:
 
 
 def _card(section: str, result: Result) -> str:
-    """One result as an article: what it is, what came out of it, and why it is where it is."""
+    """Return one result as an article of HTML: what it is, what came out of it, and why it is where it is."""
     name, given = _name(result.name), _name(result.input)
     if section == "pending":
         return f'<article class="{section} line"><h3>{name}</h3><small>{given}</small></article>\n'
@@ -195,7 +196,7 @@ def _card(section: str, result: Result) -> str:
 
 
 def _hand(hand: Hand, frames: float) -> tuple[str, bool]:
-    """A hand in words, and whether somebody should look at it."""
+    """Return a hand in words, and True if somebody should look at it."""
     detected, doubtful, said = hand.detected, hand.doubtful or 0, ""
     scale, error = scale_and_error(hand)
     quality = scale.quality(error) if scale else "good"
@@ -211,14 +212,15 @@ def _hand(hand: Hand, frames: float) -> tuple[str, bool]:
 
 
 def _attempt(number: int, attempt: Attempt) -> str:
-    """A failed attempt: where, after how long, and what it ended in."""
+    """Return a failed attempt in words: where, after how long, and what it ended in."""
     where, after = _text(attempt.host), _duration(attempt.seconds)
     return f"attempt {number} on {where} failed after {after}: {_text(attempt.error)}"
 
 
 def _badness(result: Result) -> tuple[float, int]:
-    """The more, the higher on the page: how wrong the worst hand is likely to be, by the limit of poor ones,
-    and how much of the clip is missing or doubtful; then how many warnings there are."""
+    """Return a key for sorting, the larger the higher on the page: how wrong the worst hand is likely to be,
+    by the limit of poor ones, and how much of the clip is missing or doubtful; then how many warnings there
+    are."""
     frames, worst = max(1.0, result.frames), 0.0
     for hand in result.hands:
         scale, error = scale_and_error(hand)
@@ -228,21 +230,21 @@ def _badness(result: Result) -> tuple[float, int]:
 
 
 def _listed(items: Sequence[str], shown: int = _SHOWN) -> str:
-    """A list, of which the rest opens with a click."""
+    """Return a list in HTML, whose rest opens with a click."""
     first, rest = "".join(f"<li>{i}" for i in items[:shown]), "".join(f"<li>{i}" for i in items[shown:])
     more = f"<details><summary>{_count(len(items) - shown)} more</summary><ul>{rest}</ul></details>"
     return f"<ul>{first}</ul>{more if rest else ''}" if items else ""
 
 
 def _label(file: str, name: str) -> str:
-    """A file's name without that of the entry, which stands above."""
+    """Return a file's name without that of the entry, which stands above."""
     last = file.rpartition("/")[2]
     return last.removeprefix(name).lstrip("._-") or last
 
 
 def _link(file: str) -> str:
-    """A path relative to the page as an address: whatever it is called, it leads into the page's folder or
-    below."""
+    """Return a path relative to the page as an address: whatever it is called, it leads into the page's
+    folder or below."""
     try:
         data = file.encode("utf-8", "surrogateescape")  # the very bytes of a name on Linux
     except UnicodeEncodeError:
@@ -251,12 +253,12 @@ def _link(file: str) -> str:
 
 
 def _text(text: str) -> str:
-    """A text for the page: on one line, and without what would end an attribute or begin a tag."""
+    """Return a text for the page: on one line, and without what would end an attribute or begin a tag."""
     return html.escape(re.sub(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]+", "\ufffd", " ".join(text.split())))
 
 
 def _name(text: str) -> str:
-    """A name of any alphabet, which does not turn around what stands beside it."""
+    """Return a name of any alphabet, marked so that it does not turn around the text beside it."""
     return f"<bdi>{_text(text)}</bdi>"
 
 

@@ -1,4 +1,5 @@
-"""How far a batch is: a bar on a terminal, a line for each input, or an object a line for programs."""
+"""The progress of a batch: a bar on a terminal, a line for each input, or a JSON object a line for
+programs."""
 
 from __future__ import annotations
 
@@ -18,20 +19,22 @@ from handfit_core.tasks.report import line, read_results, write_report
 from handfit_core.tasks.task import Task
 
 _OFTEN: Final = 1.0
-"""Seconds between two reports at least"""
+"""The least seconds between two reports"""
 _SHARE: Final = 20.0
-"""Times the seconds that the last report took: a large one is written less often"""
+"""How many times the seconds that the last report took must pass before the next: a large one is written less
+often"""
 
 
 class Progress:
-    """Tells of each input that is over, and keeps the report up to date."""
+    """The teller of a batch's progress: it reports each input that is over, and keeps the report up to
+    date."""
 
     def __init__(self, output: Path, tasks: Sequence[Task], style: str) -> None:
         self._output, self._style, self._tasks = output, style, tasks
         self.results = {task.key: Result(task.shown, task.name, id=task.key) for task in tasks}
-        """By the key of its task, what came of each input so far"""
+        """For each task, by its key, the result of its input so far"""
         self.trouble = ""
-        """Why the report could not be written the last time"""
+        """The reason why the report could not be written the last time; else empty"""
         self._over, self._next = 0, 0.0
         self._exported = set[str]()
         """Keys of the tasks of whose takes files were made in this run, or could not be"""
@@ -43,7 +46,7 @@ class Progress:
                 self._bar = tqdm(total=len(self._tasks), unit="input", file=sys.stderr, dynamic_ncols=True)
 
     def ended(self, task: Task, result: Result) -> None:
-        """An input is over."""
+        """Note and tell that an input is over."""
         self.results[task.key] = result
         self._over += 1
         if self._style == "json":
@@ -60,7 +63,7 @@ class Progress:
             self.write()
 
     def exported(self, task: Task, result: Result) -> None:
-        """Files were made of a take, or not: its entry of the report."""
+        """Note the report's entry of a task: files were made of its take, or could not be."""
         self.results[task.key] = result
         self._exported.add(task.key)
         status, error = result.status, result.error
@@ -85,7 +88,7 @@ class Progress:
         self._next = time.monotonic() + max(_OFTEN, _SHARE * (time.monotonic() - began))
 
     def catch_up(self, exports: Exports | None) -> None:
-        """Note what a stop kept from being told: processes may have finished it all the same."""
+        """Note what a stop kept from being told: processes may have finished tasks all the same."""
         unknown = [task for task in self._tasks if self.results[task.key].status == "pending"]
         self.results |= {r.id: r for r in read_results(self._output, unknown) if r.status == "ok"}
         for task in self._tasks:
@@ -100,7 +103,7 @@ class Progress:
 
 
 def say(text: str, stream: TextIO) -> None:
-    """Print at once; where nobody reads it any more, the batch goes on in silence."""
+    """Print a text at once; where nobody reads it any more, the batch goes on in silence."""
     try:
         print(text, file=stream, flush=True)
     except OSError:

@@ -1,4 +1,5 @@
-"""NAME.json: what became of one input, written last; and the folders in which results come into being."""
+"""The record of what became of one input, NAME.json, written last; and the folders in which results come into
+being."""
 # ruff: noqa: RUF009 (what a dataclass's default calls here makes a field)
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class Attempt:
 
     @classmethod
     def now(cls, error: str, kind: str, seconds: float = 0.0) -> Self:
-        """One that has ended at this moment on this machine."""
+        """Make an attempt that has ended at this moment on this machine, after so many seconds."""
         at = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         return cls(error, kind, platform.node(), round(seconds, 3), at)
 
@@ -69,21 +70,21 @@ class Result:
     frames: int = value(whole, 0)
     hands: list[Hand] = value(list_of(object_of(Hand)), list)
     views: dict[str, str] | None = value(or_none(dict_of(any_text)), None)
-    """The verdict on two views"""
+    """The verdict on two views, as the take has it; None where there is only one"""
     character: dict[str, Any] | None = value(or_none(dict_of(lambda _name, held: held)), None)
     files: list[str] = value(list_of(any_text), list)
-    """relative to the report's folder"""
+    """The result's files, relative to the report's folder"""
     warnings: list[str] = value(list_of(any_text), list)
     error: str = value(any_text, "")
     id: str = value(any_text, "")
-    """of the task"""
+    """The key of the task"""
     host: str = value(any_text, "")
-    """where it was done"""
+    """The name of the machine on which the task was done"""
     attempts: list[Attempt] = value(list_of(object_of(Attempt)), list)
-    """what went wrong before, or at last"""
+    """The tries that went wrong before, or at last"""
 
     def describe(self, take: Take) -> None:
-        """Fill in `frames`, `views` and `hands`."""
+        """Fill in `frames`, `views` and `hands` from a take."""
         self.frames = len(take.frame_numbers)
         if take.verdict is not None:
             self.views = {**vars(take.verdict)}
@@ -104,7 +105,7 @@ class Result:
             )
 
     def failed(self, attempts: Sequence[Attempt], warnings: Sequence[str]) -> Self:
-        """The result after these attempts, of which the last one failed, too."""
+        """Return the result after these attempts, of which the last one failed, too."""
         said = {"error": attempts[-1].error, "seconds": attempts[-1].seconds}
         return replace(self, status="failed", attempts=[*attempts], warnings=[*warnings], **said)
 
@@ -121,15 +122,15 @@ class Record:
     key: str = value(any_text)
     result: Result = value(object_of(Result))
     files: dict[str, int] = value(dict_of(whole), dict)
-    """The bytes of each file beside the record"""
+    """For each file beside the record, its size in bytes"""
     formats: dict[str, list[str]] = value(dict_of(list_of(any_text)), dict)
-    """Which of the files are of which format"""
+    """For each format, the names of its files"""
     run: str = value(any_text, "")
-    """Stands for the command that made it"""
+    """A text that stands for the command that made the record"""
 
     @classmethod
     def read(cls, path: Path) -> Self | None:
-        """What a file says; None where there is none that can be understood."""
+        """Read a record from a file; None where there is none that can be understood."""
         try:
             content = json.loads(read_file(path, _LARGEST))
             json.dumps(content, allow_nan=False)
@@ -138,12 +139,12 @@ class Record:
             return None
 
     def write(self, path: Path) -> None:
-        """Write it whole. Raises OutputError."""
+        """Write the record into a file, whole or not at all. Raises OutputError."""
         with written_whole(path) as beside:
             beside.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="ascii")
 
     def missing_and_changed(self, folder: Path) -> tuple[list[str], list[str]]:
-        """The files that are gone from their folder, and the ones that somebody has changed since."""
+        """Return the files that are gone from their folder, and the ones that somebody has changed since."""
         missing, changed = [], []
         for name, size in self.files.items():
             try:
@@ -155,14 +156,14 @@ class Record:
 
 
 def said_of_changed(names: Sequence[str]) -> str:
-    """The warning about files that somebody has changed."""
+    """Return the warning about files that somebody has changed."""
     return f"{', '.join(names)}: changed since the batch wrote it, and left alone; --again makes all anew"
 
 
 @contextlib.contextmanager
 def results_folder(output: Path) -> Iterator[Path]:
-    """A new folder in the folder of results, for what is not whole yet; it is removed at the end. Raises
-    OutputError."""
+    """Make a new folder in the folder of results, for files that are not whole yet; it is removed at the end.
+    Raises OutputError."""
     path = output / f"{part_of(os.getpid())}{uuid.uuid4().hex[:8]}"
     try:
         path.mkdir(parents=True)
@@ -175,8 +176,8 @@ def results_folder(output: Path) -> Iterator[Path]:
 
 
 def move_results(part: Path, folder: Path) -> None:
-    """Move all files of such a folder to their place, at once where there is nothing yet. Raises
-    OutputError."""
+    """Move all files of a folder of `results_folder` to their place, at once where there is nothing yet.
+    Raises OutputError."""
     try:
         if not folder.exists():
             with contextlib.suppress(OSError):

@@ -1,4 +1,4 @@
-"""What became of each input: report.json for programs, overview.html for people, and a line on the console.
+"""The report about each input: report.json for programs, overview.html for people, and a line on the console.
 
 Nothing here needs SciPy or OpenCV, so that Blender writes the reports anew once it has made its files.
 """
@@ -24,8 +24,9 @@ OVERVIEW: Final = "overview.html"
 
 
 def result_of(task: Task, record: Record | None, folder: Path | None = None) -> Result:
-    """What a record says of a task; pending where it is another task's, or where files of it that should lie
-    in `folder` are gone. Files that somebody has changed since are his work by now, and a warning says so."""
+    """Return the result of a task by its record; pending where it is another task's, or where files of it
+    that should lie in `folder` are gone. Files that somebody has changed since are his work by now, and a
+    warning says so."""
     pending = Result(task.shown, task.name, id=task.key)
     if record is None or record.key != task.key:
         return pending
@@ -40,7 +41,7 @@ def result_of(task: Task, record: Record | None, folder: Path | None = None) -> 
 
 
 def read_results(output: Path, tasks: Sequence[Task]) -> list[Result]:
-    """What the records say of all tasks, in their order."""
+    """Return the results of all tasks by their records, in the order of the tasks."""
     return [result_of(t, Record.read(t.record(output)), t.folder(output)) for t in tasks]
 
 
@@ -57,7 +58,7 @@ def write_report(output: Path, results: Sequence[Result]) -> None:
 
 
 def line(result: Result) -> str:
-    """One line about one input, for people."""
+    """Return one line about one input, for people."""
     if result.status != "ok":
         named = "" if result.error.startswith(result.input) else f"{result.input}: "
         return f"{result.status}: {named}{result.error}"

@@ -15,14 +15,14 @@ from handfit_core.tasks.workers import ProcessDied, SchedulerGone, Workers, inte
 
 
 def run_tasks(tasks: Sequence[Task], workers: Workers) -> Iterator[tuple[Task, Result]]:
-    """Do all of these tasks, the longest first; gives each with its result as it ends.
+    """Do all of these tasks, the longest first; yields each with its result as it ends.
 
     A task whose process dies is tried again, the last time with nothing beside it, and has failed then.
     Raises OptionError where nobody can do any.
     """
     waiting, last = deque(sorted(tasks, key=lambda task: -task.frames)), list[Task]()
     attempts = defaultdict[str, list[Attempt]](list)
-    """By the keys of tasks, how their processes have died"""
+    """For each task, by its key, the attempts in which its process has died"""
     running, ended = dict[Future[Result], Task](), SimpleQueue[Future[Result] | None]()
 
     def next_ended() -> Future[Result]:
@@ -80,7 +80,7 @@ def _error(future: Future[Result]) -> BaseException | None:
 
 
 def _result(task: Task, future: Future[Result], workers: Workers) -> Result | None:
-    """What came of a task, None where its process has died before it could tell."""
+    """Return what came of a task, None where its process has died before it could tell."""
     error = _error(future)
     if error is None:
         return future.result()
@@ -92,7 +92,7 @@ def _result(task: Task, future: Future[Result], workers: Workers) -> Result | No
 
 
 def _death(future: Future[Result], workers: Workers) -> Attempt:
-    """The attempt that ended so."""
+    """Return the attempt in which the process of this future has died."""
     error = _error(future)
     if isinstance(error, BrokenExecutor | ProcessDied) or type(error).__name__ == "KilledWorker":
         return Attempt.now(workers.death, "WorkerDied")

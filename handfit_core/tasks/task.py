@@ -41,38 +41,38 @@ class Task:
 
     name: str
     key: str
-    """Changes with the options, the version and what the input's files hold"""
+    """A text that changes with the options, the version and what the input's files hold"""
     shown: str
-    """The input, for people"""
+    """The input as people are shown it"""
     source: tuple[str, ...] = ()
-    """What to capture: full paths, or a pattern"""
+    """The paths of what to capture, in full, or a pattern"""
     view: str = ""
-    """The second view of a batch of `PAIRS`: a full path"""
+    """The full path of the second view in a batch of `PAIRS`; else empty"""
     take: str = ""
-    """The take that is the input: it is copied, and nothing is captured"""
+    """The path of the take that is the input: it is copied, and nothing is captured; else empty"""
     error: str = ""
-    """Why it cannot even be tried"""
+    """The reason why the input cannot even be tried; else empty"""
     made_of: str = ""
     """The `fingerprint` of the input's files"""
     frames: float = 0.0
     """How many frames it may have, by its files' sizes: long inputs are begun first"""
     flat: bool = False
-    """Whether the results of all tasks lie in one folder"""
+    """True if the results of all tasks lie in one folder"""
 
     def folder(self, output: Path) -> Path:
-        """Where its results lie in the folder of all results."""
+        """Return the folder in which the task's results lie, within the folder of all results."""
         return output if self.flat else output / self.name
 
     def record(self, output: Path) -> Path:
-        """The file that is written last, and says what became of the input."""
+        """Return the path of the file that is written last, and says what became of the input."""
         return self.folder(output) / f"{self.name}.json"
 
     def take_path(self, output: Path) -> Path:
-        """The take, also where it is a copy of the input."""
+        """Return the path of the take, also where it is a copy of the input."""
         return self.folder(output) / f"{self.name}{TAKE_SUFFIX}"
 
     def sheet(self, output: Path) -> Path:
-        """The contact sheet."""
+        """Return the path of the contact sheet."""
         return self.folder(output) / f"{self.name}{SUFFIX}"
 
     @property
@@ -91,8 +91,8 @@ def make_tasks(
     flat: bool = False,
     overwrite: bool = False,
 ) -> list[Task]:
-    """The tasks of what a user names, in its order. `grouping` is as in `expand`; `sheet`: whether contact
-    sheets are wanted.
+    """Make the tasks of what a user names, in its order. `grouping` is as in `expand`; `sheet`: whether
+    contact sheets are wanted.
 
     An input's own name is its results' name, unless that is taken: by another input, or by results of other
     tasks in `output`, which `overwrite` replaces. Then it gets -2, -3, ..., upper and lower case being equal.
@@ -117,7 +117,7 @@ def make_tasks(
 
 
 def _key(common: list, each: Input, made_of: str, files: Sequence[Path], keys: set[str]) -> str:
-    """What stands for the results of an input; the same input a second time gets another one."""
+    """Return the key of an input's results; where the same input comes a second time it gets another one."""
     what = [*common, each.name, made_of, bool(each.take), each.error, "" if files else each.shown]
     texts = (json.dumps([*what, again], sort_keys=True) for again in count())
     found = (hashlib.sha256(text.encode()).hexdigest()[:16] for text in texts)
@@ -125,17 +125,17 @@ def _key(common: list, each: Input, made_of: str, files: Sequence[Path], keys: s
 
 
 class _Names:
-    """Names of results that are free."""
+    """The names that results can still be given."""
 
     def __init__(self, output: Path, flat: bool, overwrite: bool) -> None:
         self._output, self._flat, self._overwrite = output, flat, overwrite
         self._there = {path.name.lower(): path.name for path in output.iterdir()} if output.is_dir() else {}
         self._taken = {"report"} if flat else {"report.json", "overview.html"}
         self._first: dict[str, int] = {}
-        """By name, the lowest number that may be free"""
+        """For each name, the lowest number that may be free"""
 
     def free(self, name: str, key: str) -> str:
-        """The name, or the first of those with numbers, that is free for the task of that key."""
+        """Return the name, or the first of those with numbers, that is free for the task of that key."""
         for number in count(self._first.get(name.lower(), 1)):
             found = name if number == 1 else f"{name}-{number}"
             if found.lower() in self._taken:
@@ -159,7 +159,8 @@ class _Names:
 
 
 def _files_named(options: CaptureOptions) -> list[Path]:
-    """The files, and folders with keypoints, that the options of a capture name or their defaults mean."""
+    """Return the files, and folders with keypoints, that the options of a capture name or their defaults
+    mean."""
     found = [*files_of_model(Path(options.model).expanduser())] if options.model else []
     found += [Path(options.landmark_model or os.environ.get(TASK.variable) or "").expanduser()]
     named = [path for path in found if is_file(path)]
@@ -169,7 +170,7 @@ def _files_named(options: CaptureOptions) -> list[Path]:
 
 
 def _files_of(source: Sequence[str], view: str = "") -> list[Path]:
-    """The files of an input: of a pattern, those that match it now."""
+    """Return the files of an input: of a pattern, those that match it now."""
     (first, *_) = source or ("",)
     if view:
         return [Path(first), Path(view)]
@@ -179,8 +180,8 @@ def _files_of(source: Sequence[str], view: str = "") -> list[Path]:
 
 
 def _files_at(path: str | Path) -> list[Path]:
-    """A file, or what lies in another program's folder and its folders, in the same order on any disk; links
-    to folders are not followed."""
+    """Return a file, or what lies in another program's folder and its folders, in the same order on any disk;
+    links to folders are not followed."""
     if not is_folder(path):
         return [Path(path)]
     below = (Path(where, name) for where, _, names in os.walk(path) for name in names)
@@ -208,7 +209,8 @@ def fingerprint(files: Sequence[Path], read_whole: int = _READ_WHOLE) -> str:
 
 
 def _size_and_time(file: Path) -> tuple[int, int]:
-    """Bytes and milliseconds, which all file systems can hold; -1, 0 where there is no such file."""
+    """Return a file's bytes and its time in milliseconds, which all file systems can hold; -1, 0 where there
+    is no such file."""
     try:
         found = file.stat()
     except (OSError, ValueError):
@@ -217,7 +219,7 @@ def _size_and_time(file: Path) -> tuple[int, int]:
 
 
 def _frames(files: Sequence[Path], wanted: FrameRange) -> float:
-    """How many frames of some files may be wanted; those of videos by their sizes."""
+    """Estimate how many frames of some files may be wanted; those of videos by the files' sizes."""
     there = 0.0
     for file in files:
         claimed = 1

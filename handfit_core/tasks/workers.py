@@ -25,9 +25,9 @@ from handfit_core.tasks.task import Task
 from handfit_core.worker.events import THREAD_VARIABLES
 
 _CONNECT: Final = 10.0
-"""Seconds in which a scheduler must answer"""
+"""Seconds within which a scheduler must answer"""
 CHECK: Final = "handfit-core"
-"""What Dask calls the check of its workers"""
+"""The name under which Dask has the check of its workers"""
 _PYTHON: Final = platform.python_version()
 _LEAKED: Final = {"LOKY_MAX_MEMORY_LEAK_SIZE": "1e9"}
 """Bytes beyond which loky replaces a process between two tasks; a first clip alone leaves 0.3e9"""
@@ -51,15 +51,15 @@ class Workers:
     """Captures one task after another in this process; what is made of it has others do that."""
 
     tries = 1
-    """How often a task is tried whose process dies"""
+    """How often a task is tried at most whose process dies"""
     room = 1
     """How many tasks may be handed out at a time"""
     are_others = False
-    """Whether this process only waits for them"""
+    """True if other processes do the tasks, for which this one only waits"""
     death = "the process that captured it died"
-    """What is said of a task whose process has died"""
+    """The sentence about a task whose process has died"""
     run: Callable[[Task, Path, Settings], Result] = staticmethod(run_task)
-    """What is done"""
+    """The function that does a task"""
 
     def __init__(self, output: Path, settings: Settings) -> None:
         """`output`: the folder of all results."""
@@ -75,7 +75,7 @@ class Workers:
         return future
 
     def told(self, task: Task) -> Result | None:
-        """What a process has noted of a task before it died; None where it has noted nothing."""
+        """Return what a process has noted of a task before it died; None where it has noted nothing."""
         record = Record.read(task.record(self.output))
         if record is not None and record.key == task.key and record.run == self.settings.run:
             return result_of(task, record)
@@ -104,7 +104,7 @@ class LocalProcesses(Workers):
     are_others = True
 
     def __init__(self, output: Path, settings: Settings, jobs: int) -> None:
-        """Raises OptionError where loky is missing."""
+        """Prepare `jobs` processes. Raises OptionError where loky is missing."""
         super().__init__(output, settings)
         _check_installed("loky", "--jobs 1")
         self.room = jobs
@@ -181,9 +181,11 @@ class DaskWorkers(Workers):
     """Has the workers of a Dask cluster do tasks; the scheduler tries a task again whose worker has died."""
 
     tries = 2
-    """The scheduler tries by itself, and blames what waited at a worker that died, too; alone nothing does"""
+    """How often a task is tried; the scheduler tries by itself, and blames what waited at a worker that died,
+    too; alone nothing does"""
     room = 10_000
-    """More than there are threads: the scheduler knows best who is free"""
+    """How many tasks are handed out at a time: more than there are threads, as the scheduler knows best who
+    is free"""
     are_others = True
 
     def __init__(self, output: Path, settings: Settings, address: str, jobs: int) -> None:
@@ -261,7 +263,8 @@ class DaskWorkers(Workers):
 
 
 _waking: Callable[[], None] | None = None
-"""What an interruption calls, instead of ending what the main thread is at; see `interrupted_by_waking`"""
+"""The function that an interruption calls, instead of ending what the main thread is at; see
+`interrupted_by_waking`"""
 
 
 @contextlib.contextmanager
@@ -278,7 +281,7 @@ def interrupted_by_waking(wake: Callable[[], None]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def terminated_as_interrupted() -> Iterator[None]:
-    """Take SIGTERM as Ctrl-C, once."""
+    """Within, SIGTERM acts as Ctrl-C, once."""
 
     def interrupt(_number: int, _frame: object) -> None:
         for each in before:  # a second one would end what the first one has begun to tidy up

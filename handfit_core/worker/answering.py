@@ -1,4 +1,4 @@
-"""What is done for each kind of request."""
+"""The answers of the worker: what is done for each kind of request."""
 
 from __future__ import annotations
 
@@ -30,13 +30,14 @@ if TYPE_CHECKING:
     from handfit_core.capturing.pipeline import Progress
 
 MAX_PICTURE_SIDE: Final = 4096
-"""pixels a side of a picture that people look at"""
+"""The most pixels a side of a picture that people look at"""
 
 
 def answer(
     message: Mapping[str, Any], should_stop: Callable[[], bool], on_progress: OnProgress
 ) -> dict[str, Any]:
-    """Do the request of a message; the fields of its `done` event. Raises what it raises."""
+    """Do the request of a message; returns the fields of its `done` event. Raises whatever the request's
+    function raises."""
     match message["request"]:
         case "capture":
             return capture(message, should_stop, on_progress)
@@ -128,8 +129,8 @@ def probe(message: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def find(message: Mapping[str, Any]) -> dict[str, Any]:
-    """All hands of the first used frame, those of regions beside the `known` ones, and a copy of that frame
-    for people to look at. Raises what `detection.find_in_frame` raises, and OutputError."""
+    """Find all hands of the first used frame, those of regions beside the `known` ones, and write a copy of
+    that frame for people to look at. Raises what `detection.find_in_frame` raises, and OutputError."""
     picture, options = message.get("picture"), CaptureOptions.of_message(message.get("options") or {})
     places = (np.pad(unpack(each).astype(float), [(0, 0), (0, 1)]) for each in message.get("known", ()))
     known = [Detections.hand("right", 1.0, keypoints, np.zeros_like(keypoints)) for keypoints in places]
@@ -189,6 +190,6 @@ def _write_picture(rgb: np.ndarray, path: str) -> None:
 
 
 def _source(message: Mapping[str, Any]) -> str | list[str]:
-    """A request's `input`: a path or pattern, or the pictures of one sequence."""
+    """Return a request's `input`: a path or pattern, or the pictures of one sequence."""
     source = message["input"]
     return source[0] if len(source) == 1 else source

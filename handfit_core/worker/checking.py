@@ -20,11 +20,12 @@ from handfit_core.edit import warm_up
 from handfit_core.hand_model import OPEN_HAND
 
 PACKAGES: Final = ("numpy", "scipy", "cv2", "mediapipe", "av")
-"""What capturing imports"""
+"""The packages that capturing imports"""
 
 
 def check(should_stop: Callable[[], bool]) -> dict[str, Any]:
-    """The fields of the `done` event: `versions`, a text. Raises what `warm` raises."""
+    """Use every heavy part once; returns the fields of the `done` event: `versions`, a text. Raises what
+    `warm` raises."""
     warm({}, should_stop)
     packages = [f"{name} {getattr(import_module(name), '__version__', 'unknown')}" for name in PACKAGES]
     python = f"Python {platform.python_version()}, {sys.executable}"
@@ -32,7 +33,7 @@ def check(should_stop: Callable[[], bool]) -> dict[str, Any]:
 
 
 def warm(message: Mapping[str, Any], should_stop: Callable[[], bool]) -> dict[str, Any]:
-    """Run the detector and a re-fit once; the fields of the `done` event.
+    """Run the detector and a re-fit once; returns the fields of the `done` event.
 
     The request's `model` is the hand model that re-fits will use, null for the open hand. Raises
     LandmarkModelError, HandModelError, Cancelled, and ImportError where a package is missing.

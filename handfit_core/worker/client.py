@@ -29,12 +29,12 @@ _STOP_SECONDS = 0.03
 """seconds that Blender's main thread gives a process to end by itself; one that has loaded torch needs some
 0.1, all of it to give back memory"""
 CHOOSE_PYTHON = "choose a Python that has SciPy, OpenCV and MediaPipe"
-"""What to do about a Python that cannot capture; where it is chosen follows"""
+"""The advice about a Python that cannot capture; where it is chosen follows in the sentence"""
 ENDED = (
     "the capturing process ended unexpectedly: try again, and if it happens again, with fewer frames or "
     "smaller pictures"
 )
-"""What is said of a process that dies; what it said last are the error's details"""
+"""The sentence about a process that dies; what it said last becomes the error's details"""
 
 
 class Worker:
@@ -68,12 +68,12 @@ class Worker:
         self._start_deadline = 0.0
         self._number = 0
         self._open: dict[int, str] = {}
-        """Number -> kind of the requests that have had no last event"""
+        """For each request that has had no last event, its number and its kind"""
         self._events: list[Event] = []
 
     @property
     def busy(self) -> bool:
-        """Whether a request has not been answered, or an answer was not taken yet."""
+        """True if a request has not been answered, or an answer was not taken yet."""
         return bool(self._open or self._events)
 
     def start(self) -> None:
@@ -128,7 +128,7 @@ class Worker:
             self._child.send(encode({"request": kind, "job": request, **fields}))
 
     def events(self, *ids: int) -> list[Event]:
-        """The events since the last call, in order.
+        """Return the events since the last call, in order.
 
         With `ids` only those of these requests; the others are kept for who asks for them. Where the process
         has died, every open request gets an `error`.
@@ -214,11 +214,12 @@ class Worker:
         self._fail_all(WorkerError.__name__, why, details)
 
     def _end_at_start(self, child: ChildProcess) -> str:
-        """The sentence about a Python whose process ended before it was ready, with what it said last."""
+        """Return the sentence about a Python whose process ended before it was ready, with what it said
+        last."""
         lines = child.stderr_tail().split("\n")
         said = next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
         return self._unfit(said if child.exit_code == EXIT_UNFIT else f"cannot capture ({said})")
 
     def _unfit(self, what: str) -> str:
-        """The sentence about a Python that cannot capture: what it is or does, and what to do."""
+        """Return the sentence about a Python that cannot capture: what it is or does, and what to do."""
         return f"the Python '{self.python}' {what}; {self._advice}"

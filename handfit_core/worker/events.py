@@ -22,10 +22,11 @@ THREAD_VARIABLES: Final = (
     "OPENBLAS_NUM_THREADS",
     "OPENCV_FOR_THREADS_NUM",
 )
-"""What OpenMP, MKL, OpenBLAS, torch and OpenCV look at when they load"""
+"""The environment variables that OpenMP, MKL, OpenBLAS, torch and OpenCV read when they load, to know how
+many threads to use"""
 
 Event = dict[str, Any]
-"""What has become of a request: its `id`, the kind of `event`, and the fields of that kind"""
+"""A message about what has become of a request: its `id`, the kind of `event`, and the fields of that kind"""
 
 OnProgress = Callable[..., None]
 """Takes a stage's name, how much of it is done, how much there is, and, where there are two, the view"""
@@ -43,7 +44,7 @@ class WorkerError(HandfitError):
 
 
 def encode(message: Mapping[str, Any]) -> bytes:
-    """One message -> one line, its end included.
+    """Return one message as one line of JSON, its end included.
 
     Plain ASCII: whatever a file is called, the line is valid UTF-8 and comes back as it was. Raises
     ProtocolError for what JSON cannot hold: NaN outside a packed array, and objects.
@@ -69,8 +70,8 @@ def log_warnings_to(say: Callable[[str, str], None]) -> Iterator[None]:
 
 
 def error_fields(error: Exception) -> dict[str, str]:
-    """The fields of the `error` event of a request that ended in this exception: `message` is one sentence,
-    `details` the traceback, which nobody needs of a Cancelled."""
+    """Return the fields of the `error` event of a request that ended in this exception: `message` is one
+    sentence, `details` the traceback, which nobody needs of a Cancelled."""
     message, kind = str(error), type(error).__name__
     details = "" if isinstance(error, Cancelled) else "".join(traceback.format_exception(error))
     if isinstance(error, MemoryError):
@@ -82,7 +83,8 @@ def error_fields(error: Exception) -> dict[str, str]:
 
 
 def as_error(event: Event) -> HandfitError:
-    """An `error` event as the exception that it was in the other process, with its details as a note."""
+    """Return an `error` event as the exception that it was in the other process, with its details as a
+    note."""
     kind, message, details = event["type"], event["message"], event["details"]
     of_core = getattr(errors, kind, None)
     if isinstance(of_core, type) and issubclass(of_core, HandfitError):

@@ -18,7 +18,7 @@ from handfit_core.media.recording import ClipWriter
 _PICTURE_SECONDS: Final = 0.1
 """seconds between two small pictures: a window shows them, nobody measures in them"""
 _WIDEST: Final = 640
-"""pixels of that picture"""
+"""The greatest width in pixels of the small picture that a window shows"""
 
 
 def follow(
@@ -92,7 +92,7 @@ _NO_OPEN_HAND: Final = (
 
 
 def _do(run: Live, told: Mapping[str, Any], say: Callable[..., None]) -> None:
-    """Do what the client said to a run; what does not work is a warning."""
+    """Do what the client has said to a running `Live`; what does not work is told as a warning."""
     if told["request"] == "live-calibrate":
         run.follower.calibrate()
         return
@@ -107,7 +107,7 @@ def _do(run: Live, told: Mapping[str, Any], say: Callable[..., None]) -> None:
 
 
 def _summary(writer: ClipWriter | None) -> dict[str, Any]:
-    """What is told of a recording that has ended."""
+    """Return the fields about a recording that has ended."""
     assert writer is not None
     return {
         "output": str(writer.path),

@@ -13,20 +13,20 @@ import sys
 from pathlib import Path
 
 PYTHON_VARIABLE = "HANDFIT_PYTHON"
-"""Names the Python that captures, when it is not the one that is running"""
+"""The environment variable that names the Python that captures, when it is not the one that is running"""
 
 EXIT_UNFIT = 77
-"""With which launch.py ends in a Python that cannot capture, after it has said so"""
+"""The exit code with which launch.py ends in a Python that cannot capture, after it has said so"""
 
 
 def find_python(python: str | None = None) -> str:
-    """The interpreter to capture with: the argument, $HANDFIT_PYTHON, else the running one."""
+    """Return the interpreter to capture with: the argument, $HANDFIT_PYTHON, else the running one."""
     typed = unquoted(python or "") or unquoted(os.environ.get(PYTHON_VARIABLE, ""))
     return os.path.expanduser(typed) or sys.executable  # noqa: PTH111
 
 
 def unquoted(text: str) -> str:
-    """The text without the spaces and quotes around it that come with a copied path."""
+    """Return the text without the spaces and quotes around it that come with a copied path."""
     text = text.strip()
     if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
         text = text[1:-1].strip()
@@ -34,14 +34,14 @@ def unquoted(text: str) -> str:
 
 
 def is_current_interpreter(python: str) -> bool:
-    """True if a path names this process's interpreter. Links count as others: a virtual environment's
+    """Return whether a path names this process's interpreter. Links count as others: a virtual environment's
     interpreter often is one, and has packages of its own."""
     return _normalised(shutil.which(python) or python) == _normalised(sys.executable)
 
 
 def worker_command(python: str, *words: str) -> list[str]:
-    """What starts the worker, or another command of the core, with this interpreter, as `find_python` gives
-    it."""
+    """Return the command that starts the worker, or another command of the core, with this interpreter, as
+    `find_python` gives it."""
     words = words or ("worker",)
     if is_current_interpreter(python) and not _brought_by_launcher():
         # -s: as Blender, nothing from the folder where pip puts packages for one user; -P: nothing from the
@@ -52,8 +52,8 @@ def worker_command(python: str, *words: str) -> list[str]:
 
 
 def worker_environment(python: str, bytecode: Path | None = None) -> dict[str, str]:
-    """The process's environment: nothing that is meant for the Python that runs here, except for that one
-    itself. `bytecode`: where it keeps what it compiles; None: nowhere."""
+    """Return the environment of the process: nothing that is meant for the Python that runs here, except for
+    that one itself. `bytecode`: the folder in which it keeps what it compiles; None: nowhere."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
     if is_current_interpreter(python) and not _brought_by_launcher():
         environment["PYTHONPATH"] = str(_core_folder().parent)
@@ -70,11 +70,11 @@ def _core_folder() -> Path:
 
 
 def _brought_by_launcher() -> bool:
-    """Whether the launcher has brought handfit_core to the Python that runs here, which has packages of its
-    own: those beside handfit_core must not shadow them."""
+    """Return whether the launcher has brought handfit_core to the Python that runs here, which has packages
+    of its own: those beside handfit_core must not shadow them."""
     return getattr(sys.modules["handfit_core"], "brought_by_launcher", False)
 
 
 def _normalised(python: str) -> str:
-    """The absolute path without "..", with links kept, unlike Path.resolve."""
+    """Return the absolute path without "..", with links kept, unlike Path.resolve."""
     return os.path.normcase(os.path.abspath(python))  # noqa: PTH100

@@ -27,17 +27,18 @@ _EXCHANGE_SECONDS = 0.004
 _BUFFER_BYTES = 1 << 20
 """bytes that a socket should hold, so that the child need not wait while Blender is busy"""
 _STDERR_TAIL_BYTES = 16_384
-"""bytes of the child's stderr that are told of"""
+"""Bytes from the end of the child's stderr that are kept for a bug report"""
 _EXIT_SECONDS = 1.0
 """seconds after the end of its output in which the child must end; else it is killed"""
 _KILL_WAIT_SECONDS = 0.01
 """seconds that a killed process gets to disappear; a large one needs more, and is asked for later"""
 
 _CONNECTION = "HANDFIT_CONNECTION"
-"""Tells a child the number of its end of the connection"""
+"""The environment variable that tells a child the number of its end of the connection"""
 
 _NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)
-"""Has the system not kill Blender, which leaves SIGPIPE deadly, for writing to a child that is gone"""
+"""The flag with which the system does not kill Blender, which leaves SIGPIPE deadly, for writing to a child
+that is gone"""
 _SO_NOSIGPIPE = 0x1022
 """The option by which a socket on macOS raises no SIGPIPE; Python has no name for it"""
 
@@ -52,7 +53,7 @@ class ChildProcess:
     """
 
     def __init__(self, command: Sequence[str], environment: dict[str, str], *, echo: bool = False) -> None:
-        """Start it. `echo` repeats its stderr on ours. Raises OSError."""
+        """Start the child. `echo` repeats its stderr on ours. Raises OSError."""
         reap()
         self._socket, theirs = socket.socketpair()
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - it lasts as long as the child
@@ -77,29 +78,29 @@ class ChildProcess:
                 raise
         self.pid = self._process.pid
         self._echoed: int | None = 0 if echo else None
-        """Bytes of its stderr that were repeated on ours; None where none are to be"""
+        """Bytes of the child's stderr that were repeated on ours; None where none are to be"""
         self._line: list[bytes] = []
-        """The beginning of a line"""
+        """The parts of a line of which the end has not come yet"""
         self._received: list[dict[str, Any]] = []
         self._to_send: deque[memoryview] = deque()
         self._closed = False
-        """Whether it says nothing any more"""
+        """True if the child says nothing any more"""
         self._over = False
-        """Whether it has ended, and everything that it said was read"""
+        """True if the child has ended, and everything that it said was read"""
         self._ending_since: float | None = None
 
     @property
     def exit_code(self) -> int | None:
-        """None while it runs; -N where signal N ended it."""
+        """The child's exit code; None while it runs; -N where signal N ended it."""
         return self._process.poll()
 
     def send(self, line: bytes) -> None:
-        """Put one encoded message on its way; to a child that is gone it is lost."""
+        """Put one encoded message on its way to the child; it is lost if the child is gone."""
         self._to_send.append(memoryview(line))
         self._write(time.perf_counter() + _EXCHANGE_SECONDS)
 
     def exchange(self) -> None:
-        """Read what it said, and write what it has not taken yet; for a few milliseconds at most."""
+        """Read what the child said, and write what it has not taken yet; for a few milliseconds at most."""
         until = time.perf_counter() + _EXCHANGE_SECONDS
         exited = self.exit_code is not None  # before reading: then all of what it said is there
         self._write(until)
@@ -119,7 +120,7 @@ class ChildProcess:
             sys.stderr.write(self._read_stderr(begin, self._echoed))
 
     def received(self) -> list[dict[str, Any]]:
-        """The messages that `exchange` has read since the last call, in order."""
+        """Return the messages that `exchange` has read since the last call, in order."""
         messages, self._received = self._received, []
         return messages
 
@@ -135,7 +136,8 @@ class ChildProcess:
             selector.select(seconds)
 
     def ended(self) -> bool:
-        """Whether it is over and everything it said was read; one that only closed its output is killed."""
+        """Return whether the child is over and everything it said was read; one that only closed its output
+        is killed."""
         if self._closed and not self._over:
             self._ending_since = self._ending_since or time.monotonic()
             if time.monotonic() - self._ending_since > _EXIT_SECONDS:
@@ -144,12 +146,12 @@ class ChildProcess:
         return self._over
 
     def stderr_tail(self) -> str:
-        """The end of what the child wrote on stderr."""
+        """Return the end of what the child wrote on stderr."""
         end = os.fstat(self._stderr.fileno()).st_size
         return self._read_stderr(max(0, end - _STDERR_TAIL_BYTES), end)
 
     def stop(self, seconds: float) -> None:
-        """Close its end of the connection for requests, after which a worker ends by itself, and kill it when
+        """Close the child's connection for requests, after which a worker ends by itself, and kill it when
         that takes longer than `seconds`."""
         self._to_send.clear()
         with contextlib.suppress(OSError):
@@ -161,7 +163,7 @@ class ChildProcess:
         self.kill()
 
     def kill(self) -> None:
-        """End it at once; what it said last is read."""
+        """End the child at once; what it said last is read."""
         self.exchange()
         self._to_send.clear()
         self._socket.close()
@@ -203,8 +205,8 @@ class ChildProcess:
 
 
 def _inherits(end: socket.socket) -> dict[str, Any]:
-    """Popen's options for a child that has this end of a connection, and a process group of its own: no
-    console window, and no share in a terminal's Ctrl-C, because ending the child is up to us.
+    """Return Popen's options for a child that has this end of a connection, and a process group of its own:
+    no console window, and no share in a terminal's Ctrl-C, because ending the child is up to us.
 
     On Windows a virtual environment's Python starts another one, which inherits it in its turn.
     """
@@ -217,7 +219,7 @@ def _inherits(end: socket.socket) -> dict[str, Any]:
 
 
 def own_streams() -> tuple[BinaryIO, BinaryIO]:
-    """The requests and the events of a process that `ChildProcess` has started."""
+    """Return the streams of requests and of events of a process that `ChildProcess` has started."""
     connection = socket.socket(fileno=int(os.environ.pop(_CONNECTION)))
     connection.set_inheritable(False)
     return connection.makefile("rb"), connection.makefile("wb")
@@ -229,7 +231,8 @@ def reap() -> None:
 
 
 def wait_for_killed(seconds: float) -> bool:
-    """Wait until all killed processes are gone, which frees the files they had open; whether they are."""
+    """Wait at most so long until all killed processes are gone, which frees their open files; return whether
+    they are."""
     until = time.monotonic() + seconds
     for process in _killed:
         with contextlib.suppress(subprocess.TimeoutExpired):

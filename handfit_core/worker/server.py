@@ -46,9 +46,9 @@ class _Job:
     message: dict[str, Any]
     cancelled: threading.Event = field(default_factory=threading.Event)
     closed: bool = False
-    """Whether its last event was sent"""
+    """True if the job's last event was sent"""
     told: queue.SimpleQueue[dict[str, Any]] = field(default_factory=queue.SimpleQueue)
-    """What the client has said to the job since it began"""
+    """The messages that the client has sent to the job since it began"""
 
 
 class Server:
@@ -58,7 +58,7 @@ class Server:
         self._requests, self._events = requests, events
         self._sending = threading.Lock()
         self._jobs: dict[int, _Job] = {}
-        """the jobs without a last event, by their numbers"""
+        """The jobs without a last event, by their numbers"""
         self._waiting: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self._current: _Job | None = None
         self._ending = threading.Event()
@@ -141,7 +141,7 @@ class Server:
             self._current = None
 
     def _answer(self, job: _Job) -> dict[str, Any]:
-        """The fields of the job's `done` event."""
+        """Do a job; returns the fields of its `done` event."""
 
         def should_stop() -> bool:
             if self._ending.is_set():

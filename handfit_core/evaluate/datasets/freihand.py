@@ -12,7 +12,7 @@ from handfit_core.media.opening import pictures_in
 
 PLACES = {split: f"{split}_xyz.json" for split in ("evaluation", "training")}
 COPIES = 4
-"""Pictures of each label of the training set, before other backgrounds"""
+"""How many pictures the training set has of each label: the same hand before several backgrounds"""
 
 
 def recognises(root: Path) -> bool:

@@ -15,7 +15,8 @@ from handfit_core.evaluate.labels import Dataset, Entry, Labels, Problem, Reader
 from handfit_core.media.opening import pictures_in
 
 PLACES = {"evaluation": "evaluation_xyz.json", "train": "train"}
-"""The evaluation's meta files hold the wrist only: the authors kept the rest back for their contest"""
+"""The place of each split's joint labels; the evaluation's meta files hold the wrist only, as the authors
+kept the rest back for their contest"""
 
 OPENGL_TO_CAMERA = np.array([1.0, -1.0, -1.0])
 """HO-3D's points are in OpenGL's frame: y up, z backward."""
@@ -79,7 +80,7 @@ def read(root: Path, split: str | None = None) -> Dataset:
 
 
 def _name(file: Path) -> str:
-    """`sequence/frame`, as the lists have it."""
+    """Return a picture's name as the set's lists have it: `sequence/frame`."""
     return f"{file.parent.parent.name}/{file.stem}"
 
 

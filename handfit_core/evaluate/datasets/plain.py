@@ -104,7 +104,7 @@ def save_index(
 
 
 def _plain(value: Any) -> Any:
-    """A value in JSON's types, NaN as null."""
+    """Return a value in JSON's types, NaN as null."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):
@@ -117,7 +117,7 @@ def _plain(value: Any) -> Any:
 
 
 def _problem_of(root: Path, item: dict[str, Any], file: str, seen: set[str]) -> str | None:
-    """The reason why a picture cannot be an entry, or None."""
+    """Return the reason why a picture cannot be an entry, or None."""
     if Path(file).is_absolute() or ".." in Path(file).parts:
         return "file outside the folder"
     if file in seen:
@@ -128,7 +128,7 @@ def _problem_of(root: Path, item: dict[str, Any], file: str, seen: set[str]) -> 
 
 
 def _doubts(item: dict[str, Any], file: str) -> list[Problem]:
-    """Problems of a picture that can be used all the same. Only parameters of the bundled hand, in its
+    """Return problems of a picture that can be used all the same. Only parameters of the bundled hand, in its
     present version, become a mesh."""
     meshes = [hand for hand in _hands_of(item) if isinstance(hand, dict) and hand.get("mano") is not None]
     others = ["mesh of another hand model: not scored" for hand in meshes if not _is_ours(hand)]
@@ -175,7 +175,8 @@ def _hand(hand: dict[str, Any], file: str) -> HandLabel:
 
 
 def _points(hand: dict[str, Any], key: str, size: int, file: str) -> np.ndarray | None:
-    """(21, size); a point or number that is null becomes NaN. None where the key is not there."""
+    """Return (21, size) numbers; a point or number that is null becomes NaN. None where the key is not
+    there."""
     points = hand.get(key)
     if points is None:
         return None

@@ -1,4 +1,5 @@
-"""Functions that the readers share. Other errors of damaged files are reported with the file or picture."""
+"""Functions that the readers of data sets share. Exceptions that damaged files cause beside those named are
+reported with the file or picture."""
 
 from __future__ import annotations
 
@@ -29,19 +30,20 @@ NO_CAMERA = "camera (K) missing"
 
 
 def lacks(root: Path, name: str, layout: str) -> DatasetError:
-    """The error for a folder that lacks `name`; `layout` tells what is expected there."""
+    """Return the error for a folder that lacks `name`; `layout` tells what is expected there."""
     return DatasetError(f"{root}: {name} is missing; expected {layout}")
 
 
 def choice(word: str, value: str | None, known: Iterable[str]) -> None:
-    """Raise OptionError for a value that the kind does not know; None is no choice."""
+    """Raise OptionError for a value that is not among the known ones; None, which chooses nothing, passes.
+    `word` names the option."""
     if value is not None and value not in known:
         raise OptionError(f"{word} {value!r} does not exist here; choose from {', '.join(known)}")
 
 
 def split_of(root: Path, split: str | None, places: Mapping[str, str], layout: str) -> str:
-    """The split asked for, or the first that has labels, which stand at `places`. Raises OptionError for an
-    unknown split, DatasetError where its labels are missing."""
+    """Return the split asked for, or the first that has labels, which stand at `places`. Raises OptionError
+    for an unknown split, DatasetError where its labels are missing."""
     choice("split", split, places)
     asked = [split] if split else list(places)
     available = [name for name in asked if (root / places[name]).exists()]
@@ -51,7 +53,7 @@ def split_of(root: Path, split: str | None, places: Mapping[str, str], layout: s
 
 
 def read_json(path: Path) -> Any:
-    """The content of a JSON file; NaN is allowed. Raises DatasetError, OSError."""
+    """Return the content of a JSON file; NaN is allowed. Raises DatasetError, OSError."""
     return _parsed(path, path.read_bytes().removeprefix(codecs.BOM_UTF8))
 
 
@@ -64,7 +66,7 @@ def _parsed(path: Path, text: bytes) -> Any:
 
 
 def read_pickle(path: Path) -> dict[Any, Any]:
-    """The dictionary that a pickle holds, read without running anything in it (see `safe_pickle`).
+    """Return the dictionary that a pickle holds, read without running anything in it (see `safe_pickle`).
 
     Raises DatasetError where it is damaged, or asks for more than arrays; OSError where it is too large.
     """
@@ -82,7 +84,8 @@ def read_pickle(path: Path) -> dict[Any, Any]:
 
 
 def numbers(where: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Nested lists, or a pickle's array, as float64 of that shape, NaN for a null. Raises DatasetError."""
+    """Return nested lists, or a pickle's array, as float64 of that shape, NaN for a null. Raises
+    DatasetError."""
     try:
         array = np.array(safe_pickle.plain(value), dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
@@ -93,7 +96,8 @@ def numbers(where: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def intrinsics_of(where: str, matrix: Any) -> Intrinsics | None:
-    """A (3, 3) camera matrix in pixels; None where there is none. Raises DatasetError, OptionError."""
+    """Return the camera of a (3, 3) matrix in pixels; None where there is none. Raises DatasetError,
+    OptionError."""
     if matrix is None:
         return None
     k = numbers(f"{where}: K", matrix, (3, 3))
@@ -106,7 +110,8 @@ def hand_label(
     keypoints_2d: np.ndarray | None = None,
     mesh: MeshLabel | None = None,
 ) -> HandLabel:
-    """A label from (21, 3) metres and (21, 2) pixels, both in MediaPipe's order; None is all missing.
+    """Make a label of joints (21, 3) in metres and keypoints (21, 2) in pixels, both in MediaPipe's order;
+    None stands for all missing.
 
     Points with a missing coordinate are missing as a whole.
     """
@@ -120,8 +125,8 @@ def hand_label(
 
 
 def mesh_of(path: Path, index: int, axes: np.ndarray | float = 1.0) -> MeshLabel | None:
-    """The mesh of that number in a JSON list of meshes, times `axes`; None where there is no such file. A
-    file can have gigabytes, so no more than one mesh is in memory."""
+    """Return the mesh of that number in a JSON list of meshes, its vertices times `axes`; None where there is
+    no such file. A file can have gigabytes, so no more than one mesh is in memory."""
 
     def vertices() -> np.ndarray:
         places = _mesh_places(path)
@@ -140,7 +145,8 @@ def mesh_of(path: Path, index: int, axes: np.ndarray | float = 1.0) -> MeshLabel
 
 @lru_cache(maxsize=1)
 def _mesh_places(path: Path) -> list[tuple[int, int] | None]:
-    """First and last byte of each mesh, up to where the file is cut off; None for a null."""
+    """Return the positions of the first byte of each mesh in the file and of the one behind its last, up to
+    where the file is cut off; None for a null."""
     places: list[tuple[int, int] | None] = []
     if not path.stat().st_size:
         return places
@@ -155,7 +161,7 @@ def _mesh_places(path: Path) -> list[tuple[int, int] | None]:
 
 
 def number_of(picture: Path) -> int | None:
-    """The number that is a picture's name, or None."""
+    """Return the number that a picture's name is, or None where it is none."""
     return int(picture.stem) if picture.stem.isascii() and picture.stem.isdigit() else None
 
 
@@ -167,8 +173,9 @@ def paired(
     every: Iterable[Label],
     file: Path,
 ) -> tuple[list[Entry], tuple[Problem, ...]]:
-    """Pictures with the label that `label_of` gives for their numbers, which `read` reads for the picture; a
-    problem for each picture without one, and for each of `every` label of the `file` without a picture."""
+    """Pair pictures with the label that `label_of` gives for their numbers, which `read` reads for the
+    picture; a problem is added for each picture without a label, and for each of `every` label of the `file`
+    without a picture."""
     entries: list[Entry] = []
     problems: list[Problem] = []
     unused = set(every)

@@ -34,19 +34,20 @@ class TipSet:
     layout: str
     sequences: tuple[str, ...]
     files: Mapping[str, tuple[str, ...]]
-    """Places of a sequence's file with `cleaned` and with `original` labels; {0} is the sequence"""
+    """The file names of a sequence's `cleaned` and `original` labels; {0} stands for the sequence"""
     clean: Callable[[np.ndarray], np.ndarray]
-    """(5, 3) numbers of a line -> (5, 3) mm in the depth camera's frame, NaN where missing"""
+    """Turns the (5, 3) numbers of a line into (5, 3) millimetres in the depth camera's frame, NaN where
+    missing"""
     color: Intrinsics
-    """The colour camera"""
+    """The intrinsics of the colour camera, pixels"""
     rotation: np.ndarray
-    """(3, 3) from the depth camera's frame to the colour camera's"""
+    """(3, 3) rotation from the depth camera's frame to the colour camera's"""
     translation: np.ndarray
-    """(3,) millimetres"""
+    """(3,) millimetres: the translation from the depth camera's frame to the colour camera's"""
     notes: tuple[str, ...] = ()
 
     def _folders(self, root: Path) -> dict[str, Path]:
-        """The pictures of each sequence that is there, in `data` or in the root itself."""
+        """Return the folder of pictures of each sequence that is there, in `data` or in the root itself."""
         data = root / "data" if (root / "data").is_dir() else root
         folders = {sequence: data / sequence / "color" for sequence in self.sequences}
         return {sequence: folder for sequence, folder in folders.items() if folder.is_dir()}
@@ -115,7 +116,8 @@ class TipSet:
         )
 
     def _file(self, root: Path, sequence: str, labels: str) -> Path | None:
-        """The sequence's label file; those of pairs hold pixels of the depth picture."""
+        """Return the sequence's label file, None where it is missing; files of pixel pairs, which hold places
+        in the depth picture, do not count."""
         for place in self.files[labels]:
             for path in (root / place.format(sequence), root / place.format(sequence).removeprefix("data/")):
                 if path.is_file():
@@ -138,8 +140,9 @@ class TipSet:
 
 
 def _rows_of(pictures: list[Path], lines: int) -> list[int] | None:
-    """The line of each picture: by order, if there are as many of both, else by the number in the pictures'
-    names, so that a missing picture does not shift all that follow. None where neither works."""
+    """Return the index of each picture's line: by order, if there are as many of both, else by the number in
+    the pictures' names, so that a missing picture does not shift all that follow. None where neither
+    works."""
     if len(pictures) == lines:
         return list(range(lines))
     numbers = sequence_numbers(pictures)
@@ -151,7 +154,7 @@ def _rows_of(pictures: list[Path], lines: int) -> list[int] | None:
 
 
 def _egodexter_tips(tips: np.ndarray) -> np.ndarray:
-    """Missing tips are written as zeros."""
+    """Return EgoDexter's tips (5, 3) with NaN for missing ones, which are written as zeros."""
     given = np.isfinite(tips) & (np.abs(tips) >= 1e-6)
     return np.where(np.all(given, axis=1, keepdims=True), tips, np.nan)
 
@@ -178,7 +181,7 @@ EGODEXTER = TipSet(
 
 
 def _dexter_tips(tips: np.ndarray) -> np.ndarray:
-    """x and y are written with the opposite sign."""
+    """Return Dexter+Object's tips (5, 3) with x and y negated, as they are written with the opposite sign."""
     depth = tips[:, 2:]
     # What Dexter+Object's depth camera gives where it sees nothing
     given = np.all(np.isfinite(tips), axis=1, keepdims=True) & (depth >= 1e-6) & (depth < 32001.0)

@@ -43,17 +43,18 @@ from handfit_core.retarget.transfer import SourceHand
 from handfit_core.take import TAKE_LIMITS, Take
 
 _MOTION: Final = re.compile(r"^[ \t]*MOTION[ \t]*\r?$", re.MULTILINE | re.IGNORECASE)
-"""Within its line: blank lines before it are not gone through again for each of them"""
+"""The line MOTION of a file; it must match within its line, so that blank lines before it are not gone
+through again for each of them"""
 _HEADER: Final = re.compile(r"\s*Frames:?\s*(\d{1,9})\s+Frame\s+Time:?\s*(\S{1,40})", re.IGNORECASE)
 _CHANNEL: Final = re.compile("[xyz](position|rotation)")
 _HEAD: Final = re.compile("head|neck", re.IGNORECASE)
 _LONGEST: Final = 1 << 22
-"""Letters of the hierarchy, each word of which takes fifty bytes"""
+"""The most letters of the hierarchy, each word of which takes fifty bytes of memory"""
 
 
 @dataclass
 class _Skeleton:
-    """A hierarchy while it is read."""
+    """The bones of a file while its hierarchy is read."""
 
     names: list[str] = field(default_factory=list)
     parents: list[int] = field(default_factory=list)
@@ -98,8 +99,8 @@ def _read(document: Document, asked: ReadOptions) -> Recording:
 
 
 def _parsed(document: Document) -> tuple[_Skeleton, np.ndarray, float]:
-    """The bones, what their channels are in T frames (T, channels), and the seconds of a frame. Raises
-    Unfit."""
+    """Read the bones, the values of their channels in T frames, (T, channels), and the seconds that a frame
+    lasts. Raises Unfit."""
     if len(document.bytes) > LIMITS.text_bytes:
         raise Unfit(
             f"it has more than {LIMITS.text_bytes} bytes, and at most so many are read: cut it in parts"
@@ -138,7 +139,7 @@ def _parsed(document: Document) -> tuple[_Skeleton, np.ndarray, float]:
 
 
 def _hierarchy(words: Iterator[str]) -> _Skeleton:
-    """The bones, from the words before MOTION. Raises Unfit."""
+    """Read the bones from the words before MOTION. Raises Unfit."""
     skeleton, open_bones = _Skeleton(), []
     try:
         if next(words).upper() != "HIERARCHY":
@@ -185,8 +186,8 @@ def _hierarchy(words: Iterator[str]) -> _Skeleton:
 
 
 def _posed(skeleton: _Skeleton, numbers: np.ndarray) -> tuple[AnimatedBones, float]:
-    """Every bone in every frame, and the largest angle that is written down. Positions stand for a bone's
-    offset, where it has such channels."""
+    """Return every bone in every frame, and the largest angle in degrees that the file has. Positions stand
+    for a bone's offset where it has such channels."""
     offsets, parents = np.array(skeleton.offsets), skeleton.parents
     count, bones = len(numbers), len(parents)
     rest = np.zeros((bones, 3))
@@ -219,8 +220,8 @@ def _posed(skeleton: _Skeleton, numbers: np.ndarray) -> tuple[AnimatedBones, flo
 
 
 def _up_axis(bones: Bones) -> str:
-    """y, as in most files, or z where a body stands along it or the bones are those of our own rigs, which
-    Blender has written."""
+    """Return which axis is up: y, as in most files, or z where a body stands along it or the bones are those
+    of our own rigs, which Blender has written."""
     head = next((bone for bone, name in enumerate(bones.names) if _HEAD.search(name)), None)
     if head is None:
         return "z" if any(re.match(r"wrist\.[LR]", name) for name in bones.names) else "y"
@@ -229,7 +230,7 @@ def _up_axis(bones: Bones) -> str:
 
 
 def _motionbuilders_names() -> dict[str, str]:
-    """MotionBuilder's names of a humanoid's bones by VRM's."""
+    """Return MotionBuilder's names of a humanoid's bones by VRM's."""
     names = {"hips": "Hips", "spine": "Spine", "chest": "Spine1", "upperChest": "Spine2"}
     names |= {"neck": "Neck", "head": "Head"}
     parts = {"Shoulder": "Shoulder", "UpperArm": "Arm", "LowerArm": "ForeArm", "Hand": "Hand"}
@@ -244,11 +245,12 @@ def _motionbuilders_names() -> dict[str, str]:
 
 _CENTIMETRES: Final = 100.0
 _GROUND: Final = (0.0, -120.0, -40.0)
-"""centimetres from the hands to the ground under a person who may have them"""
+"""The vector in centimetres from the hands to the ground under a person who may have them"""
 
 
 def _write(take: Take, path: Path) -> None:
-    """One body, its hands where the take has them, with positions of their own, as its arms are not known."""
+    """Write one body, whose hands have positions of their own where the take has them, as its arms are not
+    known."""
     tracks = [track for track in take.hands if track.present.any()]
     if not tracks:
         raise OptionError("there is no hand in this take")
@@ -315,7 +317,8 @@ def _words(numbers: np.ndarray) -> str:
 
 
 def _degrees(rotmat: np.ndarray) -> np.ndarray:
-    """(T, 3, 3) -> (T, 3) degrees about z, x and y, R = Rz Rx Ry, without jumps of full turns."""
+    """Return (T, 3) degrees about z, x and y of rotations (T, 3, 3), R = Rz Rx Ry, without jumps of full
+    turns."""
     z = np.arctan2(-rotmat[:, 0, 1], rotmat[:, 1, 1])
     x = np.arcsin(np.clip(rotmat[:, 2, 1], -1.0, 1.0))
     y = np.arctan2(-rotmat[:, 2, 0], rotmat[:, 2, 2])

@@ -44,12 +44,12 @@ JOINTS: Final = (
 )
 """The 25 joints of WebXR in its order; OpenXR has the palm before them"""
 _POINTS: Final = [KEYPOINT_SOURCE.index(joint) for joint in range(NUM_JOINTS)]
-"""Which of the 21 points each of MANO's joints is"""
+"""(16,) for each of MANO's joints, which of MediaPipe's 21 keypoints it is"""
 _KNUCKLES: Final = {finger: _POINTS[joints[0]] for finger, joints in FINGER_JOINTS.items()}
 
 
 def _with_names(frame: Any) -> Any:
-    """A frame whose lists of 25 or 26 joints are objects by their names."""
+    """Return a frame with its lists of 25 or 26 joints turned into objects by the joints' names."""
     if isinstance(frame, Mapping):
         return {key: _with_names(value) for key, value in frame.items()}
     if isinstance(frame, list) and len(frame) in (len(JOINTS), len(JOINTS) + 1):
@@ -64,7 +64,8 @@ def _recognises(document: Document) -> bool:
 
 
 def _posed(joints_told: np.ndarray, model: HandModel, said: list[str]) -> HandMotion:
-    """The pose of joints (T, 21, 7), metres, y up, and quaternions; NaN: not tracked. Raises ValueError.
+    """Return the pose of a hand whose joints are (T, 21, 7): places in metres, y up, and quaternions; NaN
+    where not tracked. Raises ValueError.
 
     Directions and twists of fingers are the joints' own; how the hand is turned is told by where its knuckles
     and its wrist are, as wrists' axes differ between makers.
@@ -102,8 +103,8 @@ def _posed(joints_told: np.ndarray, model: HandModel, said: list[str]) -> HandMo
 
 
 def _frames_of(places: np.ndarray, quats: np.ndarray, hand: str, said: list[str]) -> np.ndarray:
-    """(T, 21, 3, 3) joints' axes, by quaternions in the order, of the usual one and w first, in which -Z
-    points to the next joint. Raises ValueError where it does in none."""
+    """Return (T, 21, 3, 3) axes of joints in which -Z points to the next joint, of quaternions (T, 21, 4) in
+    x, y, z, w or w, x, y, z order, whichever makes it so. Raises ValueError where neither does."""
     starts = np.setdiff1d(_POINTS[1:], [_POINTS[chain[2]] for chain in FINGER_JOINTS.values()])
     steps = places[:, starts + 1] - places[:, starts]
     steps /= np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-9)

@@ -101,7 +101,8 @@ ALPHAPOSE: Final = PointLayout(
 
 
 def _interhand(frame: Any) -> Any:
-    """Its frame's points, the right hand's before the left hand's, where they are valid."""
+    """Return the points of a frame of InterHand2.6M, the right hand's before the left hand's, where they are
+    valid."""
     points = [
         p if v else None for p, v in zip(frame["world_coord"], np.ravel(frame["joint_valid"]), strict=True)
     ]
@@ -221,7 +222,7 @@ APPLE_VISION: Final = PointLayout(
 
 
 def some_hands(document: Document, hands: Callable[[Any], Any] = lambda each: each) -> Iterator[JsonHand]:
-    """The hands that are told somewhere in JSON, where a `PointLayout` has these `hands` and any columns."""
+    """Yield hands that are told somewhere in JSON, for a `PointLayout` with these `hands` and any columns."""
     columns = {len(each): each for each in "xy xyz xyzc xyzijkw".split()}
     for content in some_contents(document):
         for each in (content, *objects_in(content)):
@@ -248,7 +249,7 @@ _HAND_FILE: Final = re.compile(r"(?:.*_)?(left|right)_hand_(?:3d_xyz|frame_name_
 
 
 def _hand_arrays(document: Document) -> dict[str, np.ndarray | None]:
-    """The arrays of hands in a folder, or in its output_data, by their files' names."""
+    """Return the arrays of hands in a folder, or in its output_data, by their files' names."""
     folders = document, Document(document.path / "output_data")
     files = [file for folder in folders for file in folder.files(".npy")]
     return {file.name: Document(file).npy for file in files if _HAND_FILE.fullmatch(file.name.lower())}
@@ -280,8 +281,8 @@ FREEMOCAP: Final = PointLayout(
 
 
 def _leap_hands(frame: Any) -> list[dict[str, Any]]:
-    """The hands of a frame of the websocket (leapjs), whose fingers stand beside them, or of LeapC. A thumb's
-    metacarpal has no length, so that every finger has its knuckle where its second bone begins."""
+    """Return the hands of a frame of the websocket (leapjs), whose fingers stand beside them, or of LeapC. A
+    thumb's metacarpal has no length, so that every finger has its knuckle where its second bone begins."""
     found = []
     hands = frame.get("hands") if isinstance(frame, Mapping) else None
     for hand in hands if isinstance(hands, list) else ():
@@ -333,7 +334,7 @@ LEAP: Final = PointLayout(
 
 
 def _own_frames(document: Document) -> Frames:
-    """The frames of docs/interchange.md's JSON, which has a list of them for each hand."""
+    """Return the frames of docs/interchange.md's JSON, which has a list of them for each hand."""
     header = document.json
     if whole("version", header.get("version"), 1) > 1:
         raise ValueError("a newer version wrote these points; read them with that version")

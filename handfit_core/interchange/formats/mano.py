@@ -1,4 +1,5 @@
-"""The table of what keeps MANO's parameters: trackers, bodies and data sets, read by `mano_files`."""
+"""The table of programs and data sets that keep MANO's parameters: trackers, bodies and data sets, read by
+`mano_files`."""
 
 from __future__ import annotations
 
@@ -86,7 +87,7 @@ _RATE: Final = "fps=mocap_frame_rate|mocap_framerate|fps|frame_rate|framerate"
 
 
 def _body(left: int) -> dict[str, slice]:
-    """The columns of a body whose left hand's begin there."""
+    """Return the columns of the values of a body whose left hand's begin at column `left`."""
     hands = {"left_hand_pose": slice(left, left + 45), "right_hand_pose": slice(left + 45, left + 90)}
     return {"global_orient": slice(3), "body_pose": slice(3, 66), **hands}
 

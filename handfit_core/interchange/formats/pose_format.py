@@ -18,11 +18,11 @@ _VERSIONS: Final = (0.0, 0.1, 0.2)
 
 
 class _Component(NamedTuple):
-    """A part of a body, whose points stand after one another."""
+    """A part of a body, such as a hand, whose points stand after one another in the file."""
 
     name: str
     format: str
-    """The letters of a point's numbers: X, Y, maybe Z, and C, the confidence"""
+    """The letters of a point's numbers in their order: X, Y, maybe Z, and C, the confidence"""
     points: list[str]
 
 
@@ -43,8 +43,8 @@ class _Stream:
 
 
 def _header(stream: _Stream) -> tuple[float, tuple[int, int], list[_Component]]:
-    """The version, the picture's size, and the components. Raises struct.error and ValueError for what is no
-    .pose file."""
+    """Read the version, the picture's size (width, height) in pixels, and the components. Raises struct.error
+    and ValueError for what is no .pose file."""
     version, width, height, _, count = stream.numbers("f4H")
     if round(version, 3) not in _VERSIONS or not 0 < count <= LIMITS.hands:
         raise ValueError("no .pose file")
@@ -67,7 +67,7 @@ def _is_pose(document: Document) -> bool:
 
 
 def _frames(document: Document) -> Frames:
-    """The hands of all people in each frame. Raises ValueError."""
+    """Read the hands of all people in each frame. Raises ValueError."""
     stream = _Stream(document.bytes)
     try:
         version, size, components = _header(stream)

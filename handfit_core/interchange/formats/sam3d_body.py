@@ -85,8 +85,8 @@ def _read(document: Document, asked: ReadOptions) -> Recording:
 
 
 def _person_and_frame(file: Path, row: int, count: int) -> tuple[int, int]:
-    """The person and the frame of a file, by its name: `0007_person1`, `img_subj01`, `0007`. The only number
-    of a name that tells the person leaves the frame at 1; names without numbers go by their order."""
+    """Return the person and the frame of a file by its name: `0007_person1`, `img_subj01`, `0007`. The only
+    number of a name that tells the person leaves the frame at 1; names without numbers go by their order."""
     found = _PERSON.search(file.stem)
     person, rest = (int(found[1]), file.stem.replace(found[0], "", 1)) if found else (0, file.stem)
     last = re.findall(r"\d+(?!d)", rest)  # no 3d
@@ -97,8 +97,8 @@ def _person_and_frame(file: Path, row: int, count: int) -> tuple[int, int]:
 
 
 def _body(document: Document) -> tuple[np.ndarray, np.ndarray]:
-    """(70, 3) metres in the camera frame, and (3,) focal length and principal point, pixels, of the camera
-    that sees them; NaN where the file does not say. Raises Unfit."""
+    """Return (70, 3) metres in the camera frame, and (3,) pixels, the focal length and the principal point of
+    the camera that sees them; NaN where the file does not say. Raises Unfit."""
     name = shown(document.path.name)
     if not _recognises(document):
         raise Unfit(

@@ -30,7 +30,7 @@ class GlbContent:
         self._buffer = bytearray()
 
     def accessor(self, values: np.ndarray) -> int:
-        """Add numbers (N,), (N, 3) or (N, 4), stored with 32 bits; returns the accessor's number."""
+        """Add numbers (N,), (N, 3) or (N, 4), stored as 32-bit floats; returns the accessor's number."""
         values = np.ascontiguousarray(values, dtype="<f4")
         kind = "SCALAR" if values.ndim == 1 else f"VEC{values.shape[1]}"
         columns = values.reshape(len(values), -1)
@@ -50,7 +50,7 @@ class GlbContent:
         return len(self.json["accessors"]) - 1
 
     def to_bytes(self) -> bytes:
-        """The file."""
+        """Return the bytes of the whole file."""
         content = {**self.json, "buffers": [{"byteLength": len(self._buffer)}]}
         text = json.dumps(content, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
@@ -60,8 +60,8 @@ class GlbContent:
 
 
 def vrm_animation(hands: Sequence[HumanoidHand]) -> bytes:
-    """The file of hands of different sides. All bones that are animated are there as nodes, and the body's;
-    the times are the hands' own, and between them bones turn evenly."""
+    """Return the bytes of a .vrma file with hands of different sides. All bones that are animated are there
+    as nodes, and the body's; the times are the hands' own, and between them bones turn evenly."""
     bones = humanoid_bones({hand.side: hand.heads for hand in hands})
     numbers = {name: number for number, name in enumerate(bones)}
     nodes: list[dict[str, Any]] = []

@@ -78,7 +78,8 @@ def _text(value: float, digits: int) -> str:
 
 
 def _write_landmarks(take: Take, path: Path) -> None:
-    """MediaPipe's Tasks of what was fitted: parts of the picture with a depth from the wrist, and metres."""
+    """Write what was fitted as MediaPipe's Tasks write landmarks: in parts of the picture with a depth from
+    the wrist, and in metres."""
     frames = []
     for row, (number, time) in enumerate(zip(take.frame_numbers.tolist(), _seconds(take), strict=True)):
         found = [h for h in take.hands if known(h.keypoints_2d[row]).all() or known(h.joints_3d[row]).all()]
@@ -98,7 +99,8 @@ def _write_landmarks(take: Take, path: Path) -> None:
 
 
 def _in_picture(take: Take, hand: HandTrack, row: int) -> np.ndarray:
-    """(21, 3) parts of the picture, the depth on the scale of x and from the wrist."""
+    """Return a hand's keypoints (21, 3) in one frame as parts of the picture, the depth counted from the
+    wrist on the scale of x."""
     points = hand.joints_3d[row]
     depth = (points[:, 2] - points[0, 2]) * take.intrinsics.fx / points[0, 2]
     return np.column_stack([take.intrinsics.project(points), depth]) / [take.width, take.height, take.width]
@@ -116,12 +118,12 @@ _OF_A_BODY: Final[dict[Side, tuple[slice, slice]]] = {
     "left": (slice(60, 63), slice(75, 120)),
     "right": (slice(63, 66), slice(120, 165)),
 }
-"""The columns of a wrist and of its fingers in a body's poses"""
+"""For each side, the columns of the wrist and of its fingers in the poses of a body"""
 
 
 def _write_smplx(take: Take, path: Path) -> None:
-    """The wrists are those of a body that stands still with its arms out, y-up; their place is not kept, as
-    it depends on the body."""
+    """Write the hands as a body of SMPL-X that stands still with its arms out, y up; the wrists' places are
+    not kept, as they depend on the body."""
     frames = EveryFrame.of(take)
     poses = np.zeros((len(frames.numbers), 165))
     present = np.zeros((len(poses), 2), dtype=bool)
