@@ -41,7 +41,7 @@ class NetworkSettings:
     hand_input_px: int = 224
     """Pixels a side of the landmark network's input"""
     depth_scale: float = 0.4
-    """Factor from the landmark network's depth to the units of its x and y"""
+    """What one unit of the landmark network's x and y is in its depth, which is divided by this"""
     same_palm_distance: float = 0.35
     """Distance between centres, in sides of their boxes, below which palms of about one size are one palm"""
     palm_of_hand_distance: float = 0.2
