@@ -44,7 +44,7 @@ class Difference:
     """What the present network sees of a hand beyond what the one of December 2020 does, in one frame."""
 
     time: float
-    """Seconds from the clip's start at which both networks saw the hand"""
+    """Seconds by the source's clock at which both networks saw the hand"""
     lasts: float
     """Most seconds until the difference is to be taken again"""
     extent: float

@@ -280,7 +280,7 @@ class Track:
     holes: tuple[int, ...] = ()
     """Rows after which pictures of the clip are missing, so that the next row is no neighbour in time"""
     landmarks: Landmarks | None = None
-    """Places on the hand's surface at which its keypoints lie; None: where the built-in detector sees them"""
+    """Where on a hand its keypoints lie; None: where MediaPipe's networks see them"""
     calibrated: bool = True
     """True if `fit.doubt` can tell how far off a fit to these keypoints is likely to be
     (`Backend.calibrated`)"""

@@ -139,7 +139,7 @@ def body_model_path() -> Path:
 
 def fingerprint(explicit: str | os.PathLike[str] | None = None) -> str:
     """Return hashes of the model files and the version of MediaPipe that runs them, as one text. Raises
-    LandmarkModelError where a file is missing."""
+    LandmarkModelError where the landmark model is missing."""
     model = hashlib.sha256(landmark_model_path(explicit).read_bytes()).hexdigest()
     second = f"|landmarks of 2020 {NETWORK_2020.sha256}" if landmarks_2020_path() else ""
     return f"{model}{second}|mediapipe {version('mediapipe')}"

@@ -365,8 +365,7 @@ class Networks(Runner):
 
 
 def average_sized(keypoints: np.ndarray) -> np.ndarray:
-    """Return (21, 3) metres: keypoints (21, 3) moved to their mean and scaled to the size of an average
-    hand."""
+    """Return (21, 3) metres: keypoints (21, 3) about their mean, scaled to the size of an average hand."""
     bones = np.linalg.norm(keypoints[1:] - keypoints[list(KEYPOINT_PARENTS[1:])], axis=-1)
     return (keypoints - keypoints.mean(axis=0)) * (NETWORK.mean_bone / max(float(bones.mean()), 1e-9))
 

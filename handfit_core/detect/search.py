@@ -85,9 +85,9 @@ class SearchSettings:
     """Most hands of a picture about which other hands are searched"""
 
     missed_probability: tuple[float, float] = (0.3, 0.18)
-    """Probability of a rejected candidate that makes another hand likely: beside an even number of hands, and
-    beside an odd number or where it is tangled with a hand. Hands come in pairs, and around single ones there
-    are no such candidates"""
+    """Probability from which a candidate that was not taken for a hand makes another hand likely: beside an
+    even number of hands, and beside an odd one; candidates that are tangled with a hand count, too. Hands
+    come in pairs, and around single ones there are no such candidates"""
     missed_palm_score: float = 0.5
     """Score of a palm beside an odd number of hands from which another hand is likely"""
     missed_palm_distance: tuple[float, float] = (0.8, 6.0)
