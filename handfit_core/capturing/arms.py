@@ -30,34 +30,35 @@ from handfit_core.take import HandTrack, Take
 
 @dataclass(frozen=True)
 class GateSettings:
-    """What a body must be like over a whole shot for a hand's arm to be fitted to it: a raised forearm alone
-    scores as a person, too."""
+    """What a body must be like over a whole shot for a hand's arm to be fitted to it, since a raised forearm
+    alone scores as a person, too."""
 
     max_distance: float = 0.5
-    """hand lengths in the picture between the body's wrist and the hand's"""
+    """Largest distance in the picture between the body's wrist and the hand's, in hand lengths"""
     min_score: float = 0.65
-    """The body detector's, in the best quarter of the frames in which it was asked"""
+    """Least score of the body detector, 0..1, in the best quarter of the frames in which it was asked"""
     body_scale: float = 0.19
-    """metres of a body's coordinates that a hand is taken to be long"""
+    """Length of a hand, in metres of a body's own coordinates"""
     min_scale: float = 0.5
     max_scale: float = 2.5
-    """Ratio of the hand's length in the picture to that"""
+    """Largest ratio of the hand's length in the picture to the length that the body gives it"""
     min_visibility: float = 0.5
-    """of shoulder, elbow and wrist"""
+    """Least visibility, 0..1, of shoulder, elbow and wrist"""
     max_jump: float = 1.5
-    """hand lengths by which shoulders move from one frame to the next one with that body; beyond there is a
+    """Hand lengths that shoulders may move from one frame to the next one with that body; beyond, there is a
     cut"""
     max_gap_seconds: float = 0.5
     max_end_seconds: float = 0.4
-    """Farther from frames with a body there is no arm: between two of them, and before the first or after the
-    last"""
+    """Most seconds from a frame with a body at which there is an arm: between two such frames, and before the
+    first or after the last"""
     max_residual: float = 0.4
-    """hand lengths in the picture by which fitted elbows and shoulders are off, median: beyond, body and hand
-    do not belong together"""
+    """Largest median distance in the picture, in hand lengths, of fitted elbows and shoulders from the
+    body's: beyond, body and hand do not belong together"""
     max_longer: float = 1.2
-    """Ratio of an arm's lengths to those that its hand tells: people differ"""
+    """Largest ratio of an arm's lengths to those that its hand tells, since people differ"""
     errors: tuple[float, float] = (0.19, 0.35)
-    """radians that upper arms and forearms are off in the median, against a truth of four cameras"""
+    """Median errors in radians of the directions of upper arms and forearms, against a truth of four
+    cameras"""
 
 
 GATES: Final = GateSettings()
@@ -77,8 +78,8 @@ NO_FIT: Final = "no arm: the body in the picture and the hand do not fit togethe
 
 
 def reopened(take: Take, max_megapixels: float | None = None) -> Media:
-    """The pictures that the take was made from, in its frames. Raises InputError where they are gone, are
-    others now, or where the take never had any."""
+    """Open the pictures that the take was made from, in its frames. Raises InputError where they are gone,
+    are others now, or where the take never had any."""
     source, numbers = take.source, take.frame_numbers
     if source.kind == "data":
         raise InputError(
@@ -100,7 +101,8 @@ def reopened(take: Take, max_megapixels: float | None = None) -> Media:
 
 
 def with_arms(take: Take, bodies: Sequence[BodyTrack]) -> Take:
-    """The take with the arms of its hands on these bodies; each gets one, or a sentence why there is none."""
+    """Return the take with the arms that its hands have on these bodies; each hand gets one, or a sentence
+    why there is none."""
     if take.source.kind == "data":
         return replace(take, hands=tuple(replace(hand, no_arm=NO_PICTURES) for hand in take.hands))
     step = np.median(np.diff(take.frame_numbers)) if len(take.frame_numbers) > 1 else 1.0
@@ -114,10 +116,11 @@ def with_bodies(
     on_frame: Callable[[int], None],
     should_stop: ShouldStop,
 ) -> tuple[Found, tuple[BodyTrack, ...]]:
-    """The hands with the sides that their bodies tell, where they are yet to be fitted, and these bodies.
+    """Return the hands with the sides that their bodies tell, where they are yet to be fitted, and these
+    bodies.
 
-    `on_frame` gets the count of frames that are done. Once it is to stop, the hands come back as they
-    were."""
+    `on_frame` gets the count of frames that are done. Once it is to stop, the hands come back as they were.
+    """
     if media.source.kind == "data":
         return found, ()
     points = [
@@ -134,7 +137,8 @@ def with_bodies(
 def arms_of(
     hands: Sequence[HandTrack], bodies: Sequence[BodyTrack], camera: Intrinsics, fps: float
 ) -> tuple[HandTrack, ...]:
-    """The hands with the arms that they have on these bodies, or with a sentence why they have none."""
+    """Return the hands with the arms that they have on these bodies, or with a sentence why they have
+    none."""
     count = max((len(hand.detected) for hand in hands), default=0)
     directions = np.full((len(hands), count, 2, 3), np.nan)
     errors, bones = np.full((2, len(hands), count, 2), np.nan)
@@ -168,8 +172,9 @@ def _belonging(
     shot: slice,
     whys: list[list[tuple[int, str]]],
 ) -> list[tuple[BodyTrack, list[int]]]:
-    """The bodies of a shot that hands, by their numbers, hang on: one hand of each side at most. What the
-    others lack is added to `whys`, with how many frames they have."""
+    """Return the bodies of a shot that hands hang on, each with the numbers of its hands: one hand of each
+    side at most. What keeps the other hands from a body is added to `whys`, with how many frames they
+    have."""
     groups: list[dict[Side, int]] = [{} for _ in bodies]
     judged = []
     for i, hand in enumerate(hands):
@@ -184,8 +189,8 @@ def _belonging(
 
 
 def _judged(hand: HandTrack, body: BodyTrack, camera: Intrinsics, shot: slice) -> tuple[float, str]:
-    """How far the body's wrist is from the hand's in a shot, median, in hand lengths, and what keeps the hand
-    from hanging on it; empty where nothing does."""
+    """Return the median distance in a shot between the body's wrist and the hand's, in hand lengths, and a
+    sentence that says what keeps the hand from hanging on the body; empty where nothing does."""
     both = hand.present[shot] & body.present[shot]
     if not both.any():
         return np.inf, NO_BODY
@@ -220,9 +225,9 @@ def _judged(hand: HandTrack, body: BodyTrack, camera: Intrinsics, shot: slice) -
 def _fitted(
     hands: Sequence[HandTrack], body: BodyTrack, camera: Intrinsics, shot: slice, fps: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Of the A arms that hang on a body in the T frames of a shot, NaN in frames without: the directions of
-    upper arm and forearm (A, T, 2, 3), their expected errors (A, T, 2), and their lengths (A, T, 2),
-    metres, to reach from this body to the hands as they are. None where hands and body do not fit."""
+    """Fit the A arms that hang on a body in the T frames of a shot; NaN in frames without. Returns the
+    directions of upper arm and forearm (A, T, 2, 3), their expected errors (A, T, 2), and their lengths (A,
+    T, 2), metres, to reach from this body to the hands as they are. None where hands and body do not fit."""
     seen = _seen(hands, body, camera, shot)
     arms = fit_arms(seen, fps)
     points = arms.points[:, :, :2]
@@ -246,8 +251,8 @@ def _fitted(
 
 
 def _seen(hands: Sequence[HandTrack], body: BodyTrack, camera: Intrinsics, shot: slice) -> ArmsSeen:
-    """What the fit is given of the hands that hang on a body. In frames in which the body is not at the hand,
-    it is another one's, and does not count."""
+    """Return what the fit is given of the hands that hang on a body. In frames in which the body is not at
+    the hand, it is another hand's body, and does not count."""
     of_arms = [[of[hand.side] for of in (SHOULDERS, ELBOWS, WRISTS)] for hand in hands]
     pixels = np.stack([body.keypoints[shot][:, points] for points in of_arms], axis=1)
     world = np.stack([body.world[shot][:, points] for points in of_arms], axis=1)
@@ -271,8 +276,8 @@ def _seen(hands: Sequence[HandTrack], body: BodyTrack, camera: Intrinsics, shot:
 
 
 def _shots(hands: Sequence[HandTrack], bodies: Sequence[BodyTrack], camera: Intrinsics) -> list[slice]:
-    """The frames between cuts: those that were seen, and where the shoulders of a body jump, or a hand while
-    no body is there."""
+    """Return the frames between cuts, a slice for each shot: at cuts that were seen, and where the shoulders
+    of a body jump, or a hand while no body is there."""
     sizes = [np.nanmedian(_size(hand, camera)) for hand in hands if hand.present.any()]
     if not sizes:
         return []
@@ -292,24 +297,25 @@ def _shots(hands: Sequence[HandTrack], bodies: Sequence[BodyTrack], camera: Intr
 
 
 def _hand_length(hand: HandTrack) -> float:
-    """Metres from the wrist along the bones to the tip of the middle finger."""
+    """Return the metres from the wrist along the bones to the tip of the middle finger."""
     bones = np.diff(hand.joints_3d[hand.present][:, [0, 9, 10, 11, 12]], axis=1)
     return float(np.median(np.linalg.norm(bones, axis=2).sum(axis=1)))
 
 
 def _size(hand: HandTrack, camera: Intrinsics) -> np.ndarray:
-    """(T,) pixels that the hand's length has at the wrist's distance."""
+    """Return (T,) the pixels that the hand's length has at the wrist's distance."""
     return 0.5 * (camera.fx + camera.fy) * _hand_length(hand) / hand.joints_3d[:, 0, 2]
 
 
 def _distance(hand: HandTrack, body: BodyTrack, camera: Intrinsics, side: Side) -> np.ndarray:
-    """(T,) from the body's wrist of that side to the hand's in the picture, hand lengths."""
+    """Return (T,) the distance in the picture from the body's wrist of that side to the hand's, in hand
+    lengths."""
     wrist = camera.project(hand.joints_3d[:, 0])
     return np.linalg.norm(body.keypoints[:, WRISTS[side]] - wrist, axis=1) / _size(hand, camera)
 
 
 def _axes(hand: HandTrack) -> np.ndarray:
-    """(T, 3, 3) unit rows: along the palm, across it, and towards the thumb."""
+    """Return (T, 3, 3) the hand's axes as unit rows: along the palm, across it, and towards the thumb."""
     along, across = hand.joints_3d[:, 9] - hand.joints_3d[:, 0], hand.joints_3d[:, 5] - hand.joints_3d[:, 17]
     normal = np.cross(along, across)
     axes = np.stack([along, normal, np.cross(normal, along)], axis=1)
@@ -317,7 +323,8 @@ def _axes(hand: HandTrack) -> np.ndarray:
 
 
 def _near(there: np.ndarray, fps: float) -> np.ndarray:
-    """(T, A) bool: between frames that are there and not far, or next to one."""
+    """Return (T, A) bool: True in frames that are between frames `there` which are not far apart, or next to
+    one."""
     rows = np.arange(len(there))[:, None]
     since = rows - np.maximum.accumulate(np.where(there, rows, -np.inf), axis=0)
     until = np.minimum.accumulate(np.where(there, rows, np.inf)[::-1], axis=0)[::-1] - rows

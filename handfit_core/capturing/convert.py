@@ -88,7 +88,8 @@ _OF_TAKES: Final = ("hands", "frames", "max_hands")
 
 
 def _chosen(take: Take, args: argparse.Namespace) -> Take:
-    """What of a take the options of a capture choose. Raises OptionError for others of these."""
+    """Return what of a take the options of a capture choose. Raises OptionError for options that cannot
+    choose from a take."""
     options = CaptureOptions.of_arguments(args)
     others = [OPTIONS[name].flag for name in options.to_message() if name not in _OF_TAKES]
     if others:
@@ -103,7 +104,8 @@ def _chosen(take: Take, args: argparse.Namespace) -> Take:
 
 
 def opened_take(path: Path) -> Take | None:
-    """The take that a file holds; None for a file that is none. Raises TakeError for a damaged one."""
+    """Return the take that a file holds; None for a file that is no take. Raises TakeError for a damaged
+    one."""
     return Take.load(path) if path.suffix.lower() == ".npz" and is_take(path) else None
 
 
@@ -130,7 +132,8 @@ def _convert(args: argparse.Namespace) -> int:
 
 
 def _check_readable(writer: Writer, take: Take, path: Path) -> None:
-    """Read hands again in a format that is read here, too. Raises InputError."""
+    """Read hands that were just written again, in a format that can be read here, too. Raises InputError
+    where that fails."""
     name = next((name for name, each in WRITERS.all().items() if each is writer), None)
     taken = path.suffix.lower() in {ending[ending.rindex(".") :] for ending in writer.endings}
     if name in READERS.built_in() and take.hands and taken:
@@ -178,7 +181,8 @@ def _hand(hand: HandTrack) -> str:
 
 
 def _networks(take: Take) -> list[tuple[str, str]]:
-    """Which of MediaPipe's landmark networks have predicted the hands; nothing where none has."""
+    """Return which of MediaPipe's landmark networks have predicted the hands, as lines for `info`; none where
+    none has."""
     seen = [hand for hand in take.hands if hand.detected.any() and error_is_known(hand)]
     if not seen:
         return []

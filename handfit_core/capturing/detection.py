@@ -34,7 +34,7 @@ def detect_frames(
     on_frame: Callable[[int], None] = lambda _: None,
     should_stop: ShouldStop = never,
 ) -> Detected:
-    """The hands of a source's frames.
+    """Return the hands of a source's frames.
 
     `on_frame` is called with the count of frames that are done, whenever it has grown. `should_stop` is asked
     before every frame; the frames before that are returned.
@@ -66,15 +66,16 @@ def detect_frames(
 
 
 def open_detector(options: CaptureOptions, *, video: bool = False) -> Detector:
-    """The detector that a capture's options name, for the frames of one clip (`video`) or for stills.
+    """Open the detector that a capture's options name, for the frames of one clip (`video`) or for stills.
 
-    Raises OptionError where there is no such detector, LandmarkModelError.
+    Raises OptionError where there is no such detector, LandmarkModelError where its model file is missing or
+    damaged.
     """
     return DETECTORS.get(options.detector).open(options.detector_settings(video=video))
 
 
 def at_least_two(options: CaptureOptions) -> CaptureOptions:
-    """The options with two hands to detect where one is wanted, so that the surest can be chosen."""
+    """Return the options with two hands to detect where one is wanted, so that the surest can be chosen."""
     return replace(options, max_hands=2) if options.max_hands == 1 else options
 
 
@@ -124,7 +125,8 @@ def _in_chunks(detector: ChunkedDetector, chunks: list[Chunk]) -> Detected:
 def find_in_frame(
     source: MediaInput, options: CaptureOptions, known: Iterable[Detections] = ()
 ) -> tuple[Frame, Detections]:
-    """The first used frame of a source, and all its hands, the surest first, for a person to choose from.
+    """Return the first used frame of a source, and all its hands, the surest first, for a person to choose
+    from.
 
     Those of `regions` come first, found beside the `known` ones; with `only_regions` there are no others.
     Raises what `capture` raises before it fits, but for NoHandFoundError: there may be none.
@@ -147,8 +149,8 @@ def find_in_frame(
 
 
 def _finite(hands: Detections, detector: str) -> np.ndarray:
-    """(N,) bool: hands whose numbers are finite; a single one that is not would make its whole track
-    useless."""
+    """Return (N,) bool: True for hands whose numbers are all finite; a single one that is not would make its
+    whole track useless."""
     points = (np.isfinite(each).all(axis=(1, 2)) for each in (hands.keypoints, hands.world))
     finite = np.logical_and.reduce([*points, np.isfinite(hands.score)])
     if not finite.all():

@@ -24,8 +24,8 @@ from handfit_core.take import HandTrack
 from handfit_core.take.found import FoundRows
 
 LAST_FITS_SECONDS: Final = 0.3
-"""What slow solvers get for what was found when detection was stopped. Others get the time that they need,
-since that is a small part of what detecting took."""
+"""Seconds that slow solvers get for the hands that were found when detection was stopped. Other solvers get
+the time that they need, since that is a small part of what detecting took."""
 
 
 def fit_hands(
@@ -35,10 +35,11 @@ def fit_hands(
     on_frame: Callable[[int, int], None],
     should_stop: ShouldStop,
 ) -> tuple[tuple[HandTrack, ...], dict[str, str]]:
-    """The hands of a source as a take has them, and the digests of their models.
+    """Fit the hands of a source; return them as a take has them, and the digests of their models by side.
 
     `on_frame` gets the counts of fitted frames and of all. Once it is to stop, the hands that were fitted are
-    kept, at least one."""
+    kept, at least one.
+    """
     solver = SOLVERS.get(options.solver)
     solve = get_solver(options.solver, options.smoothing, options.hand_length)
     if should_stop():
@@ -82,8 +83,8 @@ def _after(seconds: float) -> ShouldStop:
 
 
 def _where(track: Track, frames: np.ndarray) -> Track:
-    """The track without the detections in other frames than those (T,) bool, as one that a stopped solver did
-    not come to the end of."""
+    """Return the track without the detections in other frames than `frames` (T,) bool, as one that a stopped
+    solver did not come to the end of."""
     kept = frames[track.detections.frame]
     return track if kept.all() else replace(track, detections=track.detections.select(kept))
 
@@ -91,8 +92,8 @@ def _where(track: Track, frames: np.ndarray) -> Track:
 def _as_detected(
     model: HandModel, told: HandTrack, fit: HandMotion, fps: float, intrinsics: Intrinsics
 ) -> HandTrack:
-    """A hand that was fitted to points elsewhere on it, with those that the detector would see: with these it
-    can be fitted again."""
+    """Return a hand that was fitted to points elsewhere on it with the points that the detector would see: to
+    these it can be fitted again."""
     seen = seen_of(model, fit, intrinsics, fps, told.score)
     clean = hand_track(model, _where(seen, told.detected), fit, intrinsics)
     rows = replace(clean.rows, overlapped=told.rows.overlapped)
@@ -100,7 +101,7 @@ def _as_detected(
 
 
 def hand_track(model: HandModel, track: Track, fit: HandMotion, intrinsics: Intrinsics) -> HandTrack:
-    """What a take keeps of one fitted track: the parameters and what follows from them."""
+    """Return what a take keeps of one fitted track: the parameters and what follows from them."""
     count, present = track.frame_count, fit.present
     found = FoundRows.of(track.detections, track.side, count)
     if fit.expected_error is None and not track.calibrated:

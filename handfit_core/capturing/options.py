@@ -35,26 +35,26 @@ from handfit_core.take import TAKE_LIMITS
 HandMean = Literal["auto", "flat", "mean"]
 
 VIEW_OPTIONS: Final = ("view", "view_lens", "cameras", "offset", "baseline")
-"""What is told of a second view"""
+"""Names of the options that describe a second view"""
 
 FARTHEST: Final = 1e6
-"""pixels; no region lies farther out, or is larger"""
+"""Farthest that a region may lie from the picture's corner, in pixels, and its largest size"""
 
 CLIP_HANDS: Final = 2
 """How many hands of a clip are kept where nobody says how many; further ones are not even searched"""
 
 NEAREST_FOCAL: Final = 0.05
 FARTHEST_FOCAL: Final = 1000.0
-"""Times the picture's longer side: a view of 169 degrees, and one of three minutes of arc, as a crop of a
-telescope's picture may have"""
+"""Largest focal length that is accepted, in times of the picture's longer side, as `NEAREST_FOCAL` is the
+least: three minutes of arc, as a crop of a telescope's picture may have, and a view of 169 degrees"""
 
 CROWD: Final = 10
-"""More hands than this are not built without asking: each is a rig"""
+"""Most hands that are built without asking, since each is a rig"""
 
 
 def region_of(given: Any) -> Region:
-    """A region from four or five numbers and perhaps a side, or a text in which commas separate them. Raises
-    ValueError."""
+    """Make a region of four or five numbers and perhaps a side, or of a text in which commas separate them.
+    Raises ValueError for anything else."""
     what = "regions X,Y,WIDTH,HEIGHT in pixels, and perhaps FRAME and left or right, as in 120,80,60,70"
     try:
         parts = given.split(",") if isinstance(given, str) else list(given)
@@ -69,49 +69,51 @@ def region_of(given: Any) -> Region:
 
 @dataclass(frozen=True)
 class Option:
-    """What one option may be, and what is said of it."""
+    """The declaration of one option: its value's kind and range, and what is said of it."""
 
     kind: Callable[[Any], Any]
-    """Makes the option's value of what somebody gave, or raises ValueError with what it must be"""
+    """Function that makes the option's value of what somebody gave, or raises ValueError with what it must
+    be"""
     help: str
     """A phrase that begins with a small letter and has no full stop"""
     metavar: str | None = None
     least: float = -math.inf
     most: float = math.inf
     choices: Callable[[], Iterable[str]] | None = None
-    """The values that help can list; asked when help is wanted, since plug-ins are looked up for it"""
+    """Function that returns the values which help can list; it is called when help is wanted, since plug-ins
+    are looked up for it"""
     closed: bool = False
-    """Whether only the `choices` may be given"""
+    """True if only the `choices` may be given"""
     unit: str = ""
-    """The command line's unit, where it is not the library's"""
+    """Name of the command line's unit, where it is not the library's; empty: it is"""
     units: float = 1.0
-    """How many of the command line's units one of the library's has"""
+    """How many of the command line's units make one of the library's"""
     by_default: str = ""
-    """What help says of a default that explains nothing by itself"""
+    """Text that help shows for a default that explains nothing by itself"""
     repeated: bool = False
-    """Whether the command line's may be given several times, each with one of its values"""
+    """True if the option may be given several times on the command line, each time with one of its values"""
     spelled: str = ""
-    """Its flag, where that is not made of its name"""
+    """The option's flag, where it is not made of the option's name"""
     called: str = ""
-    """What messages call it; empty: by its name"""
+    """The name by which messages call the option; empty: the option's own"""
     advice: str = ""
-    """What messages about a number that is out of range end with"""
+    """Text at the end of messages about a number that is out of range"""
     name: str = ""
     default: Any = None
 
     @property
     def flag(self) -> str:
-        """Its spelling on the command line."""
+        """The option's spelling on the command line."""
         return self.spelled or "--" + self.name.replace("_", "-").removesuffix("s" if self.repeated else "")
 
     @property
     def dest(self) -> str:
-        """Its name among parsed arguments."""
+        """The option's name among parsed arguments."""
         return self.spelled.removeprefix("--") or self.name
 
     def read(self, given: Any) -> Any:
-        """What was given, by a program, a message or the command line, as the option's value; None is as good
-        as nothing and gives the default. Raises OptionError."""
+        """Return what was given, by a program, a message or the command line, as the option's value; None is
+        as good as nothing and gives the default. Raises OptionError for what the option cannot be."""
         if given is None:
             return self.default
         try:
@@ -138,7 +140,7 @@ class Option:
         return f"lie between {least:g} and {most:g}{self._unit}"
 
     def add_to(self, parser: argparse._ActionsContainer) -> None:
-        """Add it to a command line; what is not given is None there."""
+        """Add the option to a command line; where it is not given, the parsed argument is None."""
         if self.kind is as_flag:
             parser.add_argument(self.flag, action="store_true", default=None, help=self.help)
             return
@@ -170,7 +172,7 @@ class _Listing(argparse._StoreAction):
 
 
 def as_text(given: Any) -> str:
-    """A text that is not empty."""
+    """Return a text that is not empty, or raise ValueError."""
     if not isinstance(given, str) or not given:
         raise ValueError("a text")
     return given
@@ -181,7 +183,7 @@ def _path(given: Any) -> str:
 
 
 def as_number(given: Any) -> float:
-    """A number, NaN included."""
+    """Return a number, NaN included, or raise ValueError."""
     if not isinstance(given, Real) or isinstance(given, bool):
         raise ValueError("a number")
     try:
@@ -191,7 +193,7 @@ def as_number(given: Any) -> float:
 
 
 def as_positive(given: Any) -> float:
-    """A finite number above 0."""
+    """Return a finite number above 0, or raise ValueError."""
     number = as_number(given)
     if not 0.0 < number < math.inf:
         raise ValueError("a number above 0")
@@ -199,7 +201,7 @@ def as_positive(given: Any) -> float:
 
 
 def as_whole(given: Any) -> int:
-    """A whole number."""
+    """Return a whole number, or raise ValueError."""
     number = as_number(given)
     if not number.is_integer():  # nor are NaN and infinity
         raise ValueError("a whole number")
@@ -207,7 +209,7 @@ def as_whole(given: Any) -> int:
 
 
 def as_flag(given: Any) -> bool:
-    """True or false."""
+    """Return True or False as given, or raise ValueError."""
     if not isinstance(given, bool):
         raise ValueError("true or false")
     return given
@@ -218,7 +220,7 @@ def _frames(given: Any) -> FrameRange:
 
 
 def _numbers(given: Any, what: str, count: int) -> tuple[float, ...]:
-    """Numbers out of a list, or out of a text in which commas separate them."""
+    """Return numbers out of a list, or out of a text in which commas separate them."""
     try:
         parts = given.split(",") if isinstance(given, str) else list(given)
         numbers = tuple(as_number(float(part) if isinstance(part, str) else part) for part in parts)
@@ -279,7 +281,7 @@ def _readers() -> Iterable[str]:
 
 
 def option(default: Any, kind: Callable[[Any], Any], help: str, metavar: str | None = None, **more: Any):
-    """A field of `Options`, and what belongs to it."""
+    """Declare a field of `Options`, with what belongs to the option."""
     return dataclasses.field(
         default=default, metadata={"option": Option(kind, help, metavar, default=default, **more)}
     )
@@ -287,15 +289,15 @@ def option(default: Any, kind: Callable[[Any], Any], help: str, metavar: str | N
 
 @functools.cache
 def options_of(cls: type[Options]) -> dict[str, Option]:
-    """The options that a class declares, by their names."""
+    """Return the options that a class declares, by their names."""
     declared = {each.name: each.metadata["option"] for each in fields(cls) if each.metadata}  # type: ignore
     return {name: dataclasses.replace(option, name=name) for name, option in declared.items()}
 
 
 @dataclass(frozen=True)
 class Options:
-    """What somebody can be told, an `option` a field. Whatever is given is checked and brought into the form
-    of its field, and None is as good as nothing. Raises OptionError."""
+    """A set of options, an `option` a field. Whatever is given is checked and brought into the form of its
+    field, and None is as good as nothing. Raises OptionError for a value that its option cannot be."""
 
     whose: ClassVar[str]
     """Names in messages what the options are of"""
@@ -306,8 +308,8 @@ class Options:
 
     @classmethod
     def of_message(cls, options: object, **others: Any) -> Self:
-        """The options of a request to the worker, and `others` that are no options. Raises OptionError also
-        for an option that does not exist."""
+        """Read the options of a request to the worker, and `others` that are no options. Raises OptionError
+        also for an option that does not exist."""
         if not isinstance(options, Mapping):
             raise OptionError(f"the options of {cls.whose} must be an object, not {shortly(options)}")
         declared = options_of(cls)
@@ -319,14 +321,14 @@ class Options:
         return cls(**options, **others)
 
     def to_message(self) -> dict[str, Any]:
-        """The options of a request to the worker: those that are not the defaults."""
+        """Return the options for a request to the worker: those that are not the defaults."""
         given = {name: (getattr(self, name), each.default) for name, each in options_of(type(self)).items()}
         return {name: _plain(value) for name, (value, default) in given.items() if value != default}
 
     @classmethod
     def of_arguments(cls, arguments: argparse.Namespace, **others: Any) -> Self:
-        """What a command line was told, and `others` that are no options; options that it does not have are
-        not given."""
+        """Read the options that a command line was told, and `others` that are no options; options that the
+        command line does not have count as not given."""
         given = others
         for name, option in options_of(cls).items():
             value = getattr(arguments, option.dest, None)
@@ -566,13 +568,13 @@ class CaptureOptions(Options):
             )
 
     def measured_lens(self, width: int, height: int) -> Lens | None:
-        """The measured lens in pictures of that size; None where none is chosen. Raises OptionError for
-        pictures of another shape."""
+        """Return the measured lens in pictures of that size in pixels; None where none is chosen. Raises
+        OptionError for pictures of another shape."""
         return self.lens.scaled(width, height) if isinstance(self.lens, Lens) else None
 
     def camera(self, width: int, height: int) -> Intrinsics | None:
-        """The camera that was given, for pictures of that size; None where none was. Raises OptionError for
-        one that cannot have taken such pictures."""
+        """Return the camera that was given, for pictures of that size in pixels; None where none was. Raises
+        OptionError for a camera that cannot have taken such pictures."""
         camera = self.intrinsics
         if isinstance(self.lens, tuple):
             focal, x, y = self.lens
@@ -588,11 +590,11 @@ class CaptureOptions(Options):
         return camera
 
     def most_hands(self, *, clip: bool) -> int | None:
-        """How many hands of one picture are wanted, be it of a clip or a photo; None: all."""
+        """Return how many hands of one picture are wanted, be it of a clip or a photo; None: all."""
         return CLIP_HANDS if clip and self.max_hands is None else self.max_hands
 
     def detector_settings(self, *, video: bool = False) -> DetectorSettings:
-        """What a detector is told; `video`: for the frames of one clip."""
+        """Return the settings for a detector; `video`: for the frames of one clip."""
         return DetectorSettings(
             self.most_hands(clip=video),
             video,
@@ -603,12 +605,12 @@ class CaptureOptions(Options):
         )
 
     def read_options(self) -> ReadOptions:
-        """What a reader of another program's files is told."""
+        """Return the options for a reader of another program's files."""
         return ReadOptions(**{field.name: getattr(self, field.name) for field in fields(ReadOptions)})
 
 
 def _plain(value: Any) -> Any:
-    """An option's value as JSON can hold it."""
+    """Return an option's value as JSON can hold it."""
     if isinstance(value, FrameRange):
         return str(value)
     if isinstance(value, Intrinsics):
@@ -651,15 +653,16 @@ class LiveOptions(Options):
         most=1000.0,
         by_default="2",
     )
-    """Hz, of the filter of a hand that is still"""
+    """Cut-off frequency, in Hz, of the filter of a hand that is still"""
     beta: float = option(
         1.0, as_number, "how fast smoothing gives way to motion", "B", least=0.0, most=1000.0, by_default="1"
     )
-    """Hz by which that grows for each radian a second that something turns or travels in the view"""
+    """Hz by which the cut-off frequency grows for each radian a second that something turns or travels in the
+    view"""
 
 
 OPTIONS: Final = options_of(CaptureOptions)
-"""Every option of a capture by its name"""
+"""Every option of a capture, by its name"""
 LIVE_OPTIONS: Final = options_of(LiveOptions)
 
 

@@ -44,20 +44,21 @@ from handfit_core.take.fit_quality import (
 log = logging.getLogger("handfit")
 
 Stage = Literal["detect", "fit", "arms", "join", "score", "lens"]
-"""`join` is of two views, `score` of evaluations, and `lens` of a lens that is measured"""
+"""Step of a capture or of related work: `join` is of two views, `score` of evaluations, and `lens` of a lens
+that is measured"""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a capture is."""
+    """How far a capture has come."""
 
     stage: Stage
     done: int
-    """frames of this stage, over all hands; steps of `join`"""
+    """Number of frames done in this stage, over all hands; in `join`, of steps"""
     total: int
-    """0 where nobody knows"""
+    """Number of frames or steps of the whole stage; 0 where nobody knows"""
     view: int = 0
-    """the view, 0 or 1, that `detect` and `fit` are of"""
+    """Number of the view, 0 or 1, that `detect` and `fit` work on"""
 
 
 ProgressCallback = Callable[[Progress], None]
@@ -108,7 +109,7 @@ def capture(
 def _captured(
     source: MediaInput, options: CaptureOptions, report: ProgressCallback, stop: ShouldStop
 ) -> ViewTake:
-    """One view."""
+    """Capture one view."""
     origin = open_source(source, options)
     media, recording = origin.media, origin.recording
     found = origin.find(lambda done: report(Progress("detect", done, max(media.expected_frames, done))), stop)
@@ -139,7 +140,7 @@ def _captured(
 def _capture_both(
     source: MediaInput, options: CaptureOptions, report: ProgressCallback, stop: ShouldStop
 ) -> Take:
-    """Two views of the same hands, one after the other, made one take."""
+    """Capture two views of the same hands, one after the other, and join them to one take."""
     assert options.view is not None
     _check_views(source, options.view)
     if options.solver != CaptureOptions.solver:
@@ -182,7 +183,8 @@ def _joined(
     report: ProgressCallback,
     stop: ShouldStop,
 ) -> Take:
-    """Both views made one take; or the take of one, where the other has no hand or it is to stop."""
+    """Join both views to one take; return the take of one view where the other has no hand or it is to
+    stop."""
     steps = count(1)
 
     def on_step() -> None:
@@ -222,10 +224,10 @@ def add_arms(
     *,
     max_megapixels: float | None = None,
 ) -> Take:
-    """The take with the arms of its hands, or with a sentence why there are none; arms that it had are found
-    anew, and its hands stay as they are.
+    """Return the take with the arms of its hands, or with a sentence why there are none; arms that it had are
+    found anew, and its hands stay as they are.
 
-    Its pictures are read once more, from where the take says they are. `progress` and `should_stop` as in
+    Its pictures are read once more, from where the take says they are. `progress` and `should_stop` are as in
     `capture`, `max_megapixels` as in `open_media`. Raises InputError where the pictures are gone or others,
     or where the take never had any, LandmarkModelError, and Cancelled.
     """
@@ -264,7 +266,7 @@ def check_options(options: CaptureOptions) -> None:
 
 
 def bare_take(source: MediaInput, options: CaptureOptions) -> Take:
-    """A take of that source in which no hands were detected: its frames, size and camera. Raises what
+    """Return a take of that source in which no hands were detected: its frames, size and camera. Raises what
     `capture` raises before it detects any."""
     media, known = opened(source, options)
     intrinsics = known or Intrinsics.assumed(media.width, media.height)
@@ -306,8 +308,8 @@ def capture_to_file(
     bare: bool = False,
     cameras_to: str | os.PathLike[str] | None = None,
 ) -> dict[str, Any]:
-    """Capture and write the take (`compact` as in `Take.save`), or `bare_take`'s; returns a report of it, fit
-    for JSON. `cameras_to`: where the cameras of two views are written, too.
+    """Capture, and write the take (`compact` as in `Take.save`), or the take of `bare_take`; return a report
+    of it, fit for JSON. `cameras_to`: the file to which the cameras of two views are written, too.
 
     Raises what `capture` raises, and OutputError: before the capture, if it can be known then.
     """
@@ -324,7 +326,7 @@ def capture_to_file(
 
 
 def write_copies(take: Take, max_megapixels: float | None = None) -> None:
-    """Write copies of what Blender cannot read of a take's pictures, those of all its views."""
+    """Write copies of those pictures of a take's views that Blender cannot read."""
     for view in (take, *(take.cameras.views if take.cameras is not None else ())):
         write_copy(view.source, max_megapixels)
 
@@ -349,7 +351,8 @@ def add_arms_to_file(
 
 
 def _saved(take: Take, output: str | os.PathLike[str], compact: bool, started: float) -> dict[str, Any]:
-    """Write a take, on which work began at that time of `perf_counter`; the report of it."""
+    """Write a take; return the report of it. `started` is the time of `perf_counter`, in seconds, at which
+    work on it began."""
     told = {} if take.verdict is None else {"views": vars(take.verdict)}
     return {
         "output": str(take.save(output, compact=compact)),
@@ -361,7 +364,7 @@ def _saved(take: Take, output: str | os.PathLike[str], compact: bool, started: f
 
 
 def _named(source: MediaInput, options: CaptureOptions) -> list[str | os.PathLike[str]]:
-    """The files that a capture reads, before it is known which are videos and which patterns."""
+    """Return the files that a capture reads, before it is known which are videos and which patterns."""
     given = [source] if isinstance(source, str | os.PathLike) else list(source)
     named = (options.keypoints, options.model, options.view, options.cameras)
     return [*given, *(each for each in named if each)]

@@ -18,11 +18,11 @@ from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.take import HandTrack, Take, at_rows
 
 LOWEST_RATE, HIGHEST_RATE = 1.0, 120.0
-"""frames per second that a clip is retimed to"""
+"""Lowest and highest rate, in frames per second, to which a clip is retimed"""
 _ON_ROW = 1e-3
-"""source frames within which a moment is that of a row"""
+"""Source frames within which a moment counts as that of a row"""
 _ON_KEY = 0.01
-"""frames within which a frame is that of a key"""
+"""Frames of the scene within which a frame counts as that of a key"""
 
 
 def check_rate(fps: float) -> None:
@@ -35,27 +35,28 @@ def check_rate(fps: float) -> None:
 
 
 def is_other_rate(scene_rate: float, fps: float) -> bool:
-    """True if a clip of `fps` frames per second is retimed for a scene of `scene_rate`."""
+    """Return True if a clip of `fps` frames per second is retimed for a scene of `scene_rate` frames per
+    second."""
     # Rates that differ less are the same
     return abs(scene_rate / fps - 1.0) >= 1e-4
 
 
 def moments(take: Take, scale: float) -> np.ndarray:
-    """(N,) the source frames, whole or not, that a scene shows on its frames from the take's first one on;
-    `scale`: scene frames per source frame."""
+    """Return (N,) the source frames, whole or not, that a scene shows on its frames from the take's first one
+    on; `scale`: scene frames per source frame."""
     first, last = (int(n) for n in take.frame_numbers[[0, -1]])
     count = int(np.floor((last - first) * scale + _ON_ROW)) + 1
     return first + np.arange(count) / scale
 
 
 def shown_numbers(source_frames: np.ndarray) -> np.ndarray:
-    """(N,) source frames, whole or not -> (N,) numbers of the pictures that are shown for them."""
+    """Return (N,) the numbers of the pictures that are shown for source frames (N,), whole or not."""
     return _nearest(source_frames).astype(np.int64)
 
 
 def retimed(take: Take, scale: float) -> Take:
-    """The take with a row for each scene frame from its first one on, numbered from its first number on;
-    `scale`: scene frames per source frame."""
+    """Return the take with a row for each scene frame from its first one on, numbered from its first number
+    on; `scale`: scene frames per source frame."""
     times = moments(take, scale)
     numbers = int(take.frame_numbers[0]) + np.arange(len(times))
     hands = tuple(sampled(track, np.asarray(take.frame_numbers), times) for track in take.hands)
@@ -63,7 +64,7 @@ def retimed(take: Take, scale: float) -> Take:
 
 
 def sampled(track: HandTrack, numbers: np.ndarray, times: np.ndarray) -> HandTrack:
-    """A track with rows at frame numbers (T,) -> its rows at `times` (N,), in the same numbers.
+    """Return a track's rows at `times` (N,), which count as its frame `numbers` (T,) do, whole or not.
 
     A hand is there where its nearest row has one, and detected where that row lies within half a frame.
     """
@@ -104,7 +105,8 @@ def sampled(track: HandTrack, numbers: np.ndarray, times: np.ndarray) -> HandTra
 def _sampled_arm(
     arm: ArmMotion, before: np.ndarray, after: np.ndarray, part: np.ndarray, there: np.ndarray
 ) -> ArmMotion:
-    """An arm between its rows before and after, `part` of the way, where its hand is `there`; all (N,)."""
+    """Interpolate an arm between its rows `before` and `after`, `part` (0..1) of the way, where its hand is
+    `there`; all (N,)."""
     nearest = np.where(part >= 0.5, after, before)
     present = there & arm.present[nearest]
     between = arm.present[before] & arm.present[after]
@@ -115,7 +117,7 @@ def _sampled_arm(
         return np.where(present[:, None], way, np.nan)
 
     def bone(of: np.ndarray, length: float) -> np.ndarray:
-        """Bones keep their lengths."""
+        """Interpolate the vectors along a bone, metres, at the constant `length` of the bone."""
         along = moved(of)
         return along * (length / np.linalg.norm(along, axis=1, keepdims=True))
 
@@ -136,13 +138,13 @@ def shown_rows(take: Take, numbers: np.ndarray, scale: float) -> tuple[np.ndarra
 
 
 def _nearest(values: np.ndarray | float) -> np.ndarray:
-    """The nearest whole numbers; of two the later one."""
+    """Return the nearest whole numbers; of two equally near ones the later."""
     return np.floor(np.asarray(values, dtype=np.float64) + 0.5)
 
 
 def _around(numbers: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of moments (N,) the nearest rows, those before and after, and how far (0..1) each is from the one
-    before to the one after."""
+    """Return for moments `times` (N,) the nearest rows, the rows before and after, and how far (0..1) each
+    moment is from the one before to the one after; (N,) each."""
     after = np.clip(np.searchsorted(numbers, times - _ON_ROW), 0, len(numbers) - 1)
     before = np.where(np.abs(numbers[after] - times) <= _ON_ROW, after, np.maximum(after - 1, 0))
     apart = numbers[after] - numbers[before]
@@ -152,7 +154,8 @@ def _around(numbers: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _turned(first: np.ndarray, last: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """(N, 3 J) axis-angle in radians, `part` (N,) of the way from the first to the last, about one axis."""
+    """Return (N, 3 J) axis-angle in radians, turned `part` (N,) of the way from the first to the last, about
+    one axis."""
     start, end = (rotvec_to_quat(v.reshape(len(part), -1, 3)) for v in (first, last))
     way = quat_to_rotvec(quat_multiply(start * [1.0, -1.0, -1.0, -1.0], end))
     turned = quat_to_rotvec(quat_multiply(start, rotvec_to_quat(part[:, None, None] * way)))
@@ -162,11 +165,12 @@ def _turned(first: np.ndarray, last: np.ndarray, part: np.ndarray) -> np.ndarray
 def moved_keys(
     keyed: np.ndarray, first: float, ratio: float, dense: float, kept: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Whole frames (N,) of a scene that plays `ratio` times as many frames, for a curve with keys on frames
-    (K,), increasing, and the former frames (N,) whose values belong there; frame `first` stays where it is.
+    """Return the whole frames (N,) of a scene that plays `ratio` times as many frames, for a curve with keys
+    on frames (K,), increasing, and the former frames (N,) whose values belong there; frame `first` stays
+    where it is.
 
-    Keys up to `dense` frames apart are sampled on every frame between them; others only move, and so do
-    those on the frames `kept` (M,): their values stay to the last digit.
+    Keys up to `dense` frames apart are sampled on every frame between them; others only move, and so do those
+    on the frames `kept` (M,): their values stay to the last digit.
     """
     if len(keyed) == 0:
         return np.empty(0), np.empty(0)
@@ -191,8 +195,8 @@ def moved_keys(
 
 
 def retimed_field(field: CorrectionField, first: int, ratio: float) -> CorrectionField:
-    """Corrections by frame number -> the same in a scene that plays `ratio` times as many frames; number
-    `first` stays. Of two that would lie on one frame the artist's last one stays."""
+    """Return corrections by frame number as they are in a scene that plays `ratio` times as many frames;
+    number `first` stays. Of two that would lie on one frame the artist's last one stays."""
     moved: dict[float, Correction] = {}
     for number, one in sorted(field.corrections.items(), key=lambda item: (not item[1].is_anchor, item[0])):
         moved[first + float(_nearest((number - first) * ratio))] = replace(one, spread=one.spread * ratio)

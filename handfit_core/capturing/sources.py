@@ -73,13 +73,13 @@ NONE_IN_REGION: Final = (
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """The wanted hands of a source."""
+    """The wanted hands of a source over its T frames."""
 
     numbers: list[int]
-    """Of the source's T frames"""
+    """The numbers of the source's T frames"""
     intrinsics: Intrinsics
     tracks: list[Track]
-    """One for each hand, over these frames"""
+    """One track for each hand, over the T frames"""
     fits: list[HandMotion] | None = None
     """The hands as another program has posed them, which are taken as they are; None: the tracks are to be
     fitted"""
@@ -87,14 +87,14 @@ class Found:
 
 @dataclass(frozen=True)
 class HandSource:
-    """Something that hands are found in."""
+    """An input in which hands are found, opened."""
 
     media: Media
     known: Intrinsics | None
-    """The camera; None: the file does not tell, and nobody else."""
+    """The camera that took the pictures; None: neither the file nor anybody else tells"""
     options: CaptureOptions
     recording: Recording | None
-    """What another program has found; None: hands are detected in the pictures."""
+    """The hands that another program has found; None: hands are detected in the pictures"""
 
     def find(self, on_frame: Callable[[int], None], should_stop: ShouldStop) -> Found:
         """Find the wanted hands. `on_frame` gets the count of frames that are done; `should_stop` is asked
@@ -148,7 +148,7 @@ class Poses(HandSource):
 
 
 def open_source(source: MediaInput, options: CaptureOptions) -> HandSource:
-    """The input of a capture. Raises InputError, NoHandFoundError, OptionError and HandModelError."""
+    """Open the input of a capture. Raises InputError, NoHandFoundError, OptionError and HandModelError."""
     media, known = opened(source, options)
     recording = _recording(media, options)
     if recording is None:
@@ -159,8 +159,9 @@ def open_source(source: MediaInput, options: CaptureOptions) -> HandSource:
 
 
 def opened(source: MediaInput, options: CaptureOptions) -> tuple[Media, Intrinsics | None]:
-    """The input and the camera that took it, None where nobody tells. Raises InputError and OptionError, and
-    HandModelError for a model of neither side: before the long part, which a wrong path should not cost."""
+    """Return the opened input and the camera that took it, None where nobody tells. Raises InputError and
+    OptionError, and HandModelError for a model of neither side: before the long part, which a wrong path
+    should not cost."""
     media = open_input(source, options)
     intrinsics = options.camera(media.width, media.height)
     if options.model is not None:
@@ -170,7 +171,7 @@ def opened(source: MediaInput, options: CaptureOptions) -> tuple[Media, Intrinsi
 
 
 def open_input(source: MediaInput, options: CaptureOptions) -> Media:
-    """Pictures, as `open_media` opens them, or a recording. Raises InputError, and PictureSizeError for a
+    """Open pictures, as `open_media` does, or a recording. Raises InputError, and PictureSizeError for a
     recording that needs to be told the size of its pictures: with another one, the camera would be wrong."""
     if not is_recording(source):
         return open_media(source, options.frames, max_megapixels=options.max_megapixels)
@@ -188,7 +189,8 @@ def open_input(source: MediaInput, options: CaptureOptions) -> Media:
 
 
 def _countable(recording: Recording) -> Recording:
-    """A recording whose frames have numbers that Blender's can have, as `open_media` has it of pictures."""
+    """Return a recording whose frames have numbers that Blender's can have, as `open_media` has it of
+    pictures."""
     numbers = recording.frame_numbers
     if 0 <= numbers[0] <= numbers[-1] <= MEDIA.max_frame_number:
         return recording
@@ -211,8 +213,8 @@ def _check_some_side(model: str | os.PathLike[str]) -> None:
 
 
 def _recording(media: Media, options: CaptureOptions) -> Recording | None:
-    """What another program has found in the input, where the input is that or `keypoints` names it: hands
-    that are in the wanted frames, before the camera. Raises NoHandFoundError where none is."""
+    """Return what another program has found in the input, where the input is its file or `keypoints` names
+    that: hands that are in the wanted frames, before the camera. Raises NoHandFoundError where none is."""
     name, kept = media.source.name, isinstance(media, RecordedMedia)
     if options.keypoints is not None:
         if kept:
@@ -246,8 +248,8 @@ def _recording(media: Media, options: CaptureOptions) -> Recording | None:
 
 
 def _chosen(options: CaptureOptions, hands: Sequence[Chosen]) -> list[Chosen]:
-    """Those of the wanted sides, as many as are wanted. Raises NoHandFoundError where none is left, and
-    OptionError for more than a take holds."""
+    """Return those hands that are of the wanted sides, as many as are wanted. Raises NoHandFoundError where
+    none is left, and OptionError for more than a take holds."""
     kept = [hand for hand in hands if options.hands not in SIDES or hand.side == options.hands]
     if hands and not kept:
         raise NoHandFoundError(f"there is no {options.hands} hand in this input; take hands 'auto'")
@@ -269,7 +271,7 @@ def _tracked(
     *,
     calibrated: bool,
 ) -> Found:
-    """Detections linked to tracks, and the camera that they tell where nobody else does. A measured lens'
+    """Link detections to tracks, and find the camera that they tell where nobody else does. A measured lens'
     distortion is taken out of them first: all that follows knows a pinhole camera."""
     if (lens := options.measured_lens(media.width, media.height)) is not None:
         seen = replace(seen, hands=seen.hands.moved(lens.undistorted))
@@ -281,8 +283,8 @@ def _tracked(
 
 
 def _linked(media: Media, options: CaptureOptions, seen: Detected, stop: ShouldStop) -> list[Track]:
-    """The wanted hands, each tracked over the clip. Raises NoHandFoundError, and Cancelled where detection
-    was stopped before one was found."""
+    """Return the wanted hands, each tracked over the clip. Raises NoHandFoundError, and Cancelled where
+    detection was stopped before one was found."""
     hands, most = options.hands, options.most_hands(clip=media.source.kind != "photo")
     steps = np.diff(seen.numbers)
     skipped = np.flatnonzero(steps > np.median(steps)).tolist() if len(steps) else ()
@@ -328,5 +330,6 @@ def _tell_of_others(hands: HandChoice, captured: int, seen: int) -> None:
 
 
 def _rate(media: Media, numbers: list[int]) -> float:
-    """Used frames per second: of a source of which every fourth frame is used, a quarter of its own."""
+    """Return the used frames per second: for a source of which every fourth frame is used, a quarter of its
+    own rate."""
     return media.fps / float(np.median(np.diff(numbers))) if len(numbers) > 1 else media.fps

@@ -38,36 +38,42 @@ class FollowingSettings:
     """Thresholds and intervals of following bodies. Intervals are in frames."""
 
     min_score: float = 0.5
-    """Of the detector for a person who is looked at"""
+    """Score from which the detector's find counts as a person, 0..1; for people whose body is then predicted
+    anew"""
     min_any_score: float = 0.05
-    """Of the detector for a person who is followed already: what is less counts as 0"""
+    """Score, 0..1, from which the detector's find counts at all: a person who is followed already with less
+    than this gets a score of 0"""
     min_presence: float = 0.5
-    """Of the landmark network, below which a body is lost"""
+    """Presence by the landmark network, 0..1, below which a followed body is lost"""
     detection_interval: int = 48
-    """From one run of the detector to the next, where all hands have bodies"""
+    """Frames from one run of the people's detector to the next, where all hands have bodies"""
     first_wait: int = 8
     max_wait: int = 32
-    """Between two runs of the detector for a hand without a body: first, twice as many each time, at most"""
+    """Most frames between two runs of the people's detector for a hand without a body; the wait begins with
+    `first_wait` and doubles each time"""
     step: int = 2
     """Every step-th frame is looked at, and bodies are interpolated between: fitted arms are as exact, and
     tremble no more"""
     resting_step: int = 8
-    """In place of `step`, once no arm was seen in the last `max_unseen` frames that were looked at, as where
-    only a forearm is in the picture"""
+    """Frames from one that is looked at to the next, in place of `step`, once no arm was seen in the last
+    `max_unseen` frames that were looked at, as where only a forearm is in the picture"""
     max_unseen: int = 6
     min_visibility: float = 0.5
-    """Of the shoulder, elbow and wrist of an arm that is seen"""
+    """Visibility, 0..1, that the shoulder, elbow and wrist of an arm must have for the arm to count as
+    seen"""
     max_wrist_distance: float = 1.0
-    """Hand sizes; a body whose wrist is farther than this from a hand's is another's"""
+    """Farthest distance, in sizes of a hand, of a hand from the wrist of the body that it belongs to"""
     max_misses: int = 6
-    """Predictions in which no hand is at a body's wrists, after which it is followed no more"""
+    """Number of predictions in a row in which no hand is at a body's wrists, after which it is followed no
+    more"""
     most_looked_at: int = 6
-    """People of one picture whose bodies are predicted, to find that of a hand"""
+    """Most people of one picture whose bodies are predicted to find the body of a hand"""
     max_reach: float = 2.0
-    """Distances of the two points of `People.axis`, as far as from a man's hips to above his head; a hand
-    farther from his hips than this is not his"""
+    """Farthest that a hand may lie from the hips of its person, in distances of the two points of
+    `People.axis`, as far as from a man's hips to above his head"""
     same_person_distance: float = 0.5
-    """Distances of the two points of `People.axis`; two people whose hips are nearer than this are one"""
+    """Distance between the hips of two finds below which they are one person, in distances of the two points
+    of `People.axis`"""
 
 
 FOLLOWING: Final = FollowingSettings()
@@ -82,13 +88,13 @@ def find_bodies(
     on_frame: Callable[[int], None] = lambda _: None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> tuple[BodyTrack, ...]:
-    """The people whom a clip's hands belong to, one track each over T frames.
+    """Return the people whom a clip's hands belong to, one track each over T frames.
 
-    `numbers` are the source's numbers of these frames. `hands` has the keypoints (T, 21, 2) of each, pixels,
-    NaN in frames without: frames without any are not looked at. A person is followed whose wrist, of either
-    side, is nearest a hand's; two hands share one where they share it in most frames. A lens' distortion is
-    taken out of the bodies, as it has been of the hands. `processes` is the number of threads, None for as
-    many as there are cores; it changes no result.
+    `numbers` are the source's numbers of these frames. `hands` has the keypoints (T, 21, 2) of each hand, in
+    pixels, NaN in frames without it: frames without any hand are not looked at. A person is followed whose
+    wrist, of either side, is nearest a hand's; two hands share one person where they do so in most frames. A
+    lens' distortion is taken out of the bodies, as it has been of the hands. `processes` is the number of
+    threads, None for as many as there are cores; it changes no result.
 
     `on_frame` is called with the count of frames that are done, `should_stop` asked before each; frames after
     that have no body. Raises LandmarkModelError where the body networks are missing or damaged.
@@ -111,7 +117,7 @@ class _HandsInClip:
     """H hands in T frames, and the camera."""
 
     numbers: list[int]
-    """(T) of the source's frames"""
+    """The T frame numbers by which the source counts these frames"""
     wrists: np.ndarray
     """(H, T, 2) pixels, NaN where there is no hand"""
     extents: np.ndarray
@@ -120,30 +126,31 @@ class _HandsInClip:
 
     @property
     def wanted(self) -> np.ndarray:
-        """(T,) bool: frames with a hand."""
+        """(T,) bool: True for the frames that show a hand."""
         return np.asarray(np.isfinite(self.extents).any(axis=0))
 
 
 @dataclass(eq=False)
 class _Followed(Tracked):
-    """A person over some of a chunk's frames; `points` are the two of `People.axis`."""
+    """A person over some of a chunk's frames, with the (2, 2) pixels of `People.axis` as `points`."""
 
     near: dict[int, np.ndarray] = field(default_factory=dict)
-    """(H,) how near each hand was to a wrist, 1 at it, 0 from `max_wrist_distance` on, by rows of the clip"""
+    """By the clip's row: (H,) how near each hand was to one of the person's wrists, from 1 at the wrist down
+    to 0 from `max_wrist_distance` on"""
     bodies: dict[int, Body] = field(default_factory=dict)
-    """By rows of the clip"""
+    """By the clip's row: the person's body as the landmark network saw it"""
     scores: dict[int, float] = field(default_factory=dict)
-    """The detector's, by rows of the clip"""
+    """By the clip's row: the score that the people's detector gave the person, 0..1"""
 
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """The people in a chunk's frames."""
+    """The people who were followed through one chunk's frames, and the chunk's cuts."""
 
     numbers: list[int]
     people: list[_Followed]
     cuts: list[int]
-    """Rows of the clip that begin another shot, or may"""
+    """Rows of the clip that begin another shot, or may begin one"""
 
 
 class _BodyDetector(InChunks[_Part]):
@@ -160,7 +167,8 @@ class _BodyDetector(InChunks[_Part]):
         self.media.close()
 
     def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool]) -> _Part:
-        """Frames before the first and after the last hand are not read."""
+        """Find the bodies in the chunk with that index; its frames before the first and after the last hand
+        are not read."""
         start, step = index * self.media.chunk_frames, FOLLOWING.step
         numbers = list(self.media.numbers(start, self.media.chunk_frames))
         rows = [self._rows.get(number, -1) for number in numbers]
@@ -187,23 +195,23 @@ class _Following:
 
     def __init__(self, networks: BodyNetworks, clip: _HandsInClip) -> None:
         self.people: list[_Followed] = []
-        """All that were followed"""
+        """All people who were followed in the chunk so far"""
         self.cuts: list[int] = []
-        """Rows that begin another shot, or may"""
+        """Rows of the clip that begin another shot, or may begin one"""
         self._networks, self._clip = networks, clip
         self._now: list[_Followed] = []
         self._thumbnail: Thumbnail | None = None
         self._row = -1
-        """Row of the thumbnail"""
+        """Row of the clip's frame that the last thumbnail shows; -1 before the first"""
         self._unseen, self._next = 0, 0
-        """Frames in a row that were looked at and in which no arm was seen, and the row of the next one"""
+        """How many frames in a row were looked at without an arm being seen, and the next row to look at"""
         self._next_detection = 0
-        """Row of the next detection where all hands have bodies"""
+        """Row of the next run of the people's detector, where all hands have bodies"""
         self._wait, self._next_search = FOLLOWING.first_wait, 0
-        """Frames to wait after a search for a hand's body that failed, and the row of the next one"""
+        """Frames to wait after a failed search for a hand's body, and the row of the next search"""
 
     def find(self, rgb: np.ndarray, row: int) -> None:
-        """Find the bodies of the hands of that row in its picture (H, W, 3) uint8 RGB."""
+        """Find the bodies of one row's hands in its picture (H, W, 3) uint8 RGB."""
         thumbnail = Thumbnail.of(rgb)
         if self._thumbnail is not None and thumbnail.is_cut_from(self._thumbnail):
             self.cuts += range(self._row + 1, row + 1)
@@ -230,7 +238,8 @@ class _Following:
             self._next = row + FOLLOWING.resting_step
 
     def _detect(self, rgb: np.ndarray, row: int, free: np.ndarray) -> None:
-        """Find people anew, and begin to follow those to whom hands without a body, (H,) bool, belong."""
+        """Run the people's detector, and begin to follow those people to whom a hand without a body belongs;
+        (H,) bool `free` names these hands."""
         found = self._networks.detect(rgb, FOLLOWING.min_any_score)
         radii = np.linalg.norm(found.axis[:, 1] - found.axis[:, 0], axis=-1)
         known = np.zeros(len(found.score), dtype=bool)
@@ -259,7 +268,7 @@ class _Following:
         self._wait = min(2 * self._wait, FOLLOWING.max_wait) if free.any() else FOLLOWING.first_wait
 
     def _predict(self, person: _Followed, rgb: np.ndarray, row: int) -> None:
-        """Add the body of that row where it is found."""
+        """Predict a followed person's body in one row's picture, and keep it where it is found."""
         body = self._networks.predict(rgb, person.points, self._clip.camera)
         person.bodies.pop(row, None)
         if body.presence >= person.min_presence:
@@ -267,8 +276,8 @@ class _Following:
             person.found(body.axis)
 
     def _nearness(self, body: Body, row: int) -> np.ndarray:
-        """(H,) how near each hand of that row is to one of the body's wrists: 1 at it, 0 at the limit and
-        beyond. Each wrist has one hand."""
+        """Return (H,) how near each hand of one row is to one of the body's wrists: 1 at the wrist, 0 at the
+        limit and beyond it. Each wrist has at most one hand."""
         wrists, hands = body.keypoints[list(WRISTS.values())], self._clip.wrists[:, row]
         off = np.linalg.norm(hands[:, None] - wrists[None], axis=-1) / self._clip.extents[:, row, None]
         near = np.clip(1.0 - np.nan_to_num(off, nan=np.inf) / FOLLOWING.max_wrist_distance, 0.0, 1.0)
@@ -287,7 +296,7 @@ def _sees_arm(body: Body) -> bool:
 
 
 def _joined(clip: _HandsInClip, parts: Sequence[_Part]) -> tuple[BodyTrack, ...]:
-    """The people of all chunks, by the hands that they have."""
+    """Join the people of all chunks to one track each, by the hands that they have."""
     people = [person for part in parts for person in part.people]
     body_of = np.full(clip.extents.shape, -1)
     nearest = np.zeros(clip.extents.shape)
@@ -315,7 +324,8 @@ def _joined(clip: _HandsInClip, parts: Sequence[_Part]) -> tuple[BodyTrack, ...]
 
 
 def _track(people: Sequence[_Followed], cut: np.ndarray) -> BodyTrack:
-    """One person whom these all are, the surest last, who counts where there are several in a frame."""
+    """Make one track of finds that are all of one person, the surest last, which wins in frames with
+    several."""
     count = len(cut)
     whole = {
         name: np.full((count, NUM_BODY_POINTS, *shape), np.nan)

@@ -1,4 +1,4 @@
-"""People's bodies in pictures, by MediaPipe's body networks: no more of them than arms need.
+"""People's bodies in pictures, by MediaPipe's body networks, as far as arms need them.
 
 The detector finds people in the whole picture, the landmark network the body in a crop about one of them:
 "BlazePose: On-device Real-time Body Pose tracking" (Bazarevsky et al., 2020).
@@ -20,7 +20,8 @@ from handfit_core.geometry.lens import Lens
 from handfit_core.geometry.rotations import turn_from_axis
 
 NUM_BODY_POINTS: Final = 33
-"""of MediaPipe's body, in its order; the subject's left has odd numbers from 11 on"""
+"""Number of points of MediaPipe's body, in MediaPipe's order; from index 11 on, odd ones are on the person's
+left"""
 SHOULDERS, ELBOWS, WRISTS = (
     {"left": 11, "right": 12},
     {"left": 13, "right": 14},
@@ -33,17 +34,20 @@ class BodySettings:
     """What the body networks take and give, and how people are cropped for them."""
 
     detector_input_px: int = 224
-    """Pixels a side of the detector's input"""
+    """Side of the detector's square input picture, in pixels"""
     landmarks_input_px: int = 256
-    """Pixels a side of the landmark network's input"""
+    """Side of the landmark network's square input picture, in pixels"""
     grids: tuple[tuple[int, int], ...] = ((28, 2), (14, 2), (7, 6))
-    """Places a side of the detector's grids, and anchors at each"""
+    """For each of the detector's grids: how many places it has along a side, and how many anchors at each
+    place"""
     crop_half_side: float = 1.25
-    """Half the crop's side, in distances of the two points that it is laid about"""
+    """Half the side of a person's crop, in distances of the two points of `People.axis`"""
     same_person_distance: float = 0.5
-    """Sides of their boxes; people whose boxes' centres are nearer than this are one"""
+    """Distance between the centres of two people's boxes, in sides of the boxes, below which they are one
+    person"""
     numbers: int = 39
-    """Points of the landmark network; beyond the body's 33 are two about which the next crop is laid"""
+    """Number of points that the landmark network returns; after the body's 33 come two about which the next
+    crop is laid"""
 
 
 SETTINGS: Final = BodySettings()
@@ -51,49 +55,54 @@ SETTINGS: Final = BodySettings()
 
 @array_dataclass
 class BodyTrack:
-    """One person over T frames, as the networks see them; NaN in frames without."""
+    """One person over a clip's T frames, as the body networks see them; NaN in frames without the person."""
 
     keypoints: np.ndarray = array("T", NUM_BODY_POINTS, 2, finite="present")
-    """pixels"""
+    """(T, 33, 2) pixels of the body's points in the picture"""
     visibility: np.ndarray = array("T", NUM_BODY_POINTS, finite="present")
-    """Probability that a point is in the picture and not hidden, 0..1"""
+    """(T, 33) probability that each point is in the picture and not hidden, 0..1"""
     world: np.ndarray = array("T", NUM_BODY_POINTS, 3, finite="present")
-    """metres about the middle of the hips, axes of the camera frame. Directions can be used, lengths not"""
+    """(T, 33, 3) metres about the middle of the hips, along the camera frame's axes; directions between
+    points can be relied on, lengths cannot"""
     score: np.ndarray = array("T")
-    """The detector's, 0..1; NaN in frames in which it was not asked"""
+    """(T,) score of the people's detector, 0..1; NaN in frames in which it did not run"""
     present: np.ndarray = array("T", kind="b")
     cut: np.ndarray = array("T", kind="b")
-    """Frames that begin another shot, or may: not every frame is looked at"""
+    """(T,) bool: True where another shot begins, or may have begun since the frame that was looked at
+    before"""
 
 
 @dataclass(frozen=True, eq=False)
 class People:
-    """N people in a picture, by falling score."""
+    """N people that the detector found in a picture, by falling score."""
 
     score: np.ndarray
-    """(N,) 0..1"""
+    """(N,) score of each person, 0..1"""
     axis: np.ndarray
     """(N, 2, 2) pixels: the middle of the hips, and the point above it on a circle about the whole body"""
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """One person, as the landmark network sees them; arrays as a row of `BodyTrack`."""
+    """One person in one picture, as the landmark network sees them; its arrays are like one frame of
+    `BodyTrack`."""
 
     presence: float
     """Probability that the crop shows a person"""
     keypoints: np.ndarray
-    """(33, 2) pixels, without the lens' distortion"""
+    """(33, 2) pixels of the body's points, without the lens' distortion"""
     visibility: np.ndarray
-    """(33,) 0..1"""
+    """(33,) probability that each point is in the picture and not hidden, 0..1"""
     world: np.ndarray
-    """(33, 3) metres, axes of the camera frame"""
+    """(33, 3) metres about the middle of the hips, along the camera frame's axes"""
     axis: np.ndarray
-    """(2, 2) pixels, as `People.axis`, about which the next crop is laid"""
+    """(2, 2) pixels of the two points, defined as in `People.axis`, about which the next frame's crop is
+    laid"""
 
 
 def crop_about(axis: np.ndarray) -> Crop:
-    """The crop in which the landmark network sees a person, of the two points (2, 2) of `People.axis`."""
+    """Return the crop in which the landmark network sees a person whose two points of `People.axis` are
+    `axis` (2, 2), pixels."""
     up = axis[1] - axis[0]
     span = 2.0 * SETTINGS.crop_half_side * max(float(np.linalg.norm(up)), 1.0)
     return Crop.of_square(axis[0], span, SETTINGS.landmarks_input_px, turn=turn_upright(up))
@@ -111,7 +120,7 @@ class BodyNetworks(Runner):
         self._detector, self._landmarks = self._load(path, BODY.detector[0], BODY.landmarks[0])
 
     def detect(self, rgb: np.ndarray, min_score: float) -> People:
-        """The people in a picture (H, W, 3) uint8 RGB."""
+        """Return the people in a picture (H, W, 3) uint8 RGB whose score is at least `min_score`."""
         height, width = rgb.shape[:2]
         size = SETTINGS.detector_input_px
         crop = Crop.of_square(np.array([width, height]) / 2.0, max(width, height), size)
@@ -134,8 +143,8 @@ class BodyNetworks(Runner):
         )
 
     def predict(self, rgb: np.ndarray, axis: np.ndarray, camera: Intrinsics | Lens) -> Body:
-        """The body in the crop about two points (2, 2) of a picture (H, W, 3) uint8 RGB, without the
-        distortion of a lens."""
+        """Return the body in the crop about two points (2, 2) in pixels of a picture (H, W, 3) uint8 RGB; the
+        camera's lens distortion is taken out of its points."""
         crop = crop_about(axis)
         landmarks, presence, world = self._run(self._landmarks, crop.render(rgb))
         points = landmarks.reshape(SETTINGS.numbers, 5).astype(np.float64)

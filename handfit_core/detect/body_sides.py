@@ -1,4 +1,5 @@
-"""Which side a hand is of, and where its track is on the other hand, as the body tells that it hangs on."""
+"""Decides which side a hand is of by the body that it hangs on, and drops frames in which its track has
+jumped to the person's other hand."""
 
 from __future__ import annotations
 
@@ -19,32 +20,34 @@ log = logging.getLogger("handfit")
 
 @dataclass(frozen=True)
 class VoteSettings:
-    """When a body says which side a hand is of. Distances are in sizes of the hand."""
+    """When a body tells the side of a hand. Distances are in sizes of the hand."""
 
     min_score: float = 0.65
-    """Of the body's detector, median over the frames"""
+    """Median score of the body over its frames, by the people's detector, 0..1, that it must have to vote"""
     min_visibility: float = 0.5
-    """Of that arm's shoulder, elbow and wrist"""
+    """Visibility, 0..1, that the shoulder, elbow and wrist of the arm must have"""
     max_distance: float = 0.5
-    """From the hand's wrist to the body's"""
+    """Farthest that the hand's wrist may lie from the body's"""
     min_margin: float = 0.5
-    """By which the body's other wrist is farther away"""
+    """How much farther away the body's other wrist must be"""
     min_share: float = 0.8
-    """Of the votes, for the side of a track. Of 20 hands in photos that a body voted on, all were of the side
-    that it named, among them three that the hands' detector had named wrongly"""
+    """Share of the votes that must name a side for a track to take it. Of 20 hands in photos that a body
+    voted on, all were of the side that it named, among them three that the hands' detector had named
+    wrongly"""
     min_voted: float = 0.25
-    """Share of a track's frames that have a vote"""
+    """Share of a track's frames that must have a vote"""
 
 
 VOTES: Final = VoteSettings()
 
 
 def with_body_sides(tracks: Sequence[Track], bodies: Sequence[BodyTrack], hands: HandChoice) -> list[Track]:
-    """The tracks with the sides that their bodies tell, and without the frames in which they are on the other
-    hand: there, both the body and the hands' detector name the other side.
+    """Return the tracks with the sides that their bodies tell, and without the frames in which a track is on
+    the other hand: there, both the body and the hands' detector name the other side.
 
-    `hands` is what was asked for: where that names a side, it stays. So do sides that a person has given, and
-    two hands of one side are not made of a left and a right one."""
+    `hands` is the user's choice of hands: where it names a side, that stays. So do sides that a person has
+    given, and two hands of one side are not made of a left and a right one.
+    """
     votes = [_votes(track, bodies) for track in tracks]
     sides = [track.side for track in tracks]
     for i, (track, vote) in enumerate(zip(tracks, votes, strict=True)):
@@ -60,7 +63,7 @@ def with_body_sides(tracks: Sequence[Track], bodies: Sequence[BodyTrack], hands:
 
 
 def _on_side(track: Track, votes: np.ndarray) -> Track:
-    """The track without the frames in which it is on the other hand."""
+    """Return the track without the frames in which it is on the other hand, by the bodies' `votes` (T,)."""
     other = 1 - SIDES.index(track.side)
     found = track.detections
     astray = (votes[found.frame] == other) & (found.likely_side == other) & (found.given_side < 0)
@@ -71,7 +74,7 @@ def _on_side(track: Track, votes: np.ndarray) -> Track:
 
 
 def _votes(track: Track, bodies: Sequence[BodyTrack]) -> np.ndarray:
-    """(T,) index in `SIDES` of the side that a body names in each frame; -1 where none does."""
+    """Return (T,) the index in `SIDES` of the side that a body names in each frame; -1 where no body does."""
     found, count = track.detections, track.frame_count
     hand = scatter(found.keypoints_2d[:, 0], found.frame, count, np.nan)
     size = scatter(found.extent, found.frame, count, np.nan)

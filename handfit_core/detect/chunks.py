@@ -32,23 +32,25 @@ class Chunk:
     """The hands in consecutive frames of a clip."""
 
     numbers: list[int]
-    """Numbers of its frames: fewer than `chunk_frames` at the clip's end"""
+    """Numbers of the chunk's frames in the source: `chunk_frames` of them, fewer at the clip's end"""
     frames: list[tuple[Detections, ...]]
     tracked: list[TrackedHand]
-    """The hands of its last frame"""
+    """The hands that are followed in the chunk's last frame"""
     counts: list[int]
-    """How many hands were seen at once, where palms were detected in the whole picture"""
+    """The number of hands that were seen at once, for each frame in which palms were detected in the whole
+    picture"""
     cuts: list[int]
-    """Rows that begin another shot"""
+    """Rows of the chunk's frames that begin another shot, counted from 0"""
     first: Thumbnail | None
     last: Thumbnail | None
-    """Of its first and last readable pictures; None: there are none"""
+    """Thumbnail of the chunk's last readable picture, as `first` is of its first one; None where no picture
+    can be read"""
     misses: int = 0
-    """In how many of the frames of `counts` another hand is likely"""
+    """Number of the frames of `counts` in which another hand is likely beside those that were found"""
 
     @classmethod
     def of(cls, finder: ClipFinder, numbers: list[int]) -> Chunk:
-        """What a finder has found in the frames of these numbers."""
+        """Make a chunk of what a finder has found in the frames of these numbers."""
         first, last = (finder.thumbnails[0], finder.thumbnails[-1]) if finder.thumbnails else (None, None)
         seen = finder.frames, finder.tracked, finder.counts, finder.cuts
         return cls(numbers, *seen, first, last, finder.misses)
@@ -61,7 +63,7 @@ class ClipDetector(InChunks[Chunk]):
     """
 
     def __init__(self, media: Media, settings: DetectorSettings, regions: Sequence[Region] = ()) -> None:
-        """`regions`: boxes in which a person sees hands."""
+        """Open the networks for a clip; `regions` are boxes in which a person sees hands."""
         self.media = media
         self._settings, self._regions = settings, regions
         self._networks = Networks(settings.landmark_model, quality=settings.quality)
@@ -72,7 +74,7 @@ class ClipDetector(InChunks[Chunk]):
         self.media.close()
 
     def single_threaded(self) -> None:
-        """Use one thread, since other threads detect other chunks."""
+        """Run the networks in one thread, since other threads detect other chunks."""
         self._networks.threads = 1
 
     def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool]) -> Chunk:
@@ -94,7 +96,8 @@ class ClipDetector(InChunks[Chunk]):
         return Chunk.of(finder, numbers)
 
     def joined(self, chunks: Sequence[Chunk]) -> tuple[Detections, list[int]]:
-        """The hands of a clip's frames, with sides judged, and the rows that begin another shot.
+        """Join the chunks of a clip: return the hands of all its frames, with their sides judged, and the
+        rows that begin another shot.
 
         At every seam, hands that end one chunk and do not begin the next are tracked into it, and hands that
         begin a chunk and do not end the one before are tracked back.
@@ -144,7 +147,8 @@ class _FrameReader:
         self._past = PastFrames()
 
     def picture(self, row: int) -> np.ndarray | None:
-        """(H, W, 3) uint8 RGB of the frame with that index; None where it cannot be read."""
+        """Return the picture (H, W, 3) uint8 RGB of the clip's frame with that index; None where it cannot be
+        read."""
         if self._next - len(self._past) <= row < self._next:
             return list(self._past.backwards())[self._next - 1 - row]
         if self._frames is None or not self._next <= row <= self._next + TRACKING.backtrack_frames:
@@ -159,8 +163,9 @@ class _FrameReader:
     def back_from(
         self, row: int, *, whole: bool, cuts: Sequence[int]
     ) -> Iterator[tuple[int, np.ndarray | None]]:
-        """The rows before that one and their pictures, the last first, back to where the shot begins, but no
-        more than memory holds. With `whole` they are kept as JPEGs, which are more."""
+        """Yield the rows before that one with their pictures, the last row first, back to where the shot
+        begins, but no more than memory holds. With `whole` the pictures are kept as JPEGs, so that more of
+        them fit."""
         begin = max((cut for cut in cuts if cut < row), default=0)
         past: PastFrames = PastJpegs()
         if whole:

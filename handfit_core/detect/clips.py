@@ -27,28 +27,30 @@ class TrackingSettings:
     """Thresholds and intervals of tracking in clips. Distances are in hand sizes, intervals in frames."""
 
     search_interval: int = 24
-    """From one palm detection in the whole picture to the next, where all hands that were there are
+    """Frames from one palm detection in the whole picture to the next, where all hands that were there are
     tracked"""
     backtrack_frames: int = 24
-    """Past frames through which a new hand is tracked backwards, at most"""
+    """Most past frames through which a new hand is tracked backwards"""
     max_past_bytes: int = 100_000_000
-    """Memory that those frames may take: 4 frames of 3840 x 2160. Where a hand is to be tracked back to the
-    beginning, frames are kept as JPEG, and may take ten times as much"""
+    """Bytes that the frames kept for tracking backwards may take, such as 4 of 3840 x 2160. Where a hand is
+    to be tracked back to the beginning, frames are kept as JPEG, and may take ten times as much"""
 
     max_searches: int = 6
-    """About a lost hand, 1, 2, 4, ... frames apart: one that left costs no more than these"""
+    """Most searches about a lost hand, 1, 2, 4, ... frames apart; a hand that left costs no more than
+    these"""
     search_span: float = 4.0
-    """Side of the crop about a lost hand in which palms are searched"""
+    """Side of the square crop about a lost hand in which palms are searched"""
     first_wait: int = 8
-    """Between the first searches of the whole picture and its tiles in a clip in which no hand is tracked"""
+    """Frames between the first searches of the whole picture and its tiles, in a clip in which no hand is
+    tracked"""
     max_wait: int = 128
-    """Between two searches, of these and of those about a lost hand, at most"""
+    """Most frames between two searches, both of the whole picture and about a lost hand"""
     occluder_distance: float = 1.0
-    """A hand that is lost nearer than this to another is most likely behind it"""
+    """Distance to another hand below which a lost hand is most likely hidden behind that one"""
     max_occluded_searches: int = 32
-    """About a hand that is behind another"""
+    """Most searches about a lost hand that is hidden behind another"""
     max_occluded_wait: int = 2
-    """Between two of these searches, at most, which costs less than to track the hand"""
+    """Most frames between two searches about a hidden hand, which cost less than to track the hand"""
 
 
 TRACKING: Final = TrackingSettings()
@@ -62,20 +64,22 @@ class ClipFinder(HandTracker, Detector):
     """
 
     def __init__(self, settings: DetectorSettings, networks: Networks, *, whole_past: bool = False) -> None:
-        """`whole_past`: a new hand is tracked back to the first frame, not only for a second."""
+        """Begin a clip. With `whole_past`, a new hand is tracked back to the first frame, not only for a
+        second."""
         self.frames: list[tuple[Detections, ...]] = []
-        """The hands of every frame so far"""
+        """The hands of every frame so far: a tuple of detections for each frame"""
         self._seen_alone: list[tuple[int, Detections, TrackedHand, int]] = []
-        """What the landmark network of December 2020 alone has seen: index of the frame, the hand, who
-        follows it, and how many of its frames both networks had seen"""
+        """Detections that only the landmark network of December 2020 has made: index of the frame, the hand,
+        the track that follows it, and how many of that track's frames both networks had seen"""
         self.cuts: list[int] = []
         """Indices of frames that begin another shot"""
         self.counts: list[int] = []
-        """How many hands were seen at once, where palms were detected in the whole picture"""
+        """The number of hands that were seen at once, for each frame in which palms were detected in the
+        whole picture"""
         self.misses = 0
-        """In how many of these frames another hand is likely"""
+        """Number of the frames of `counts` in which another hand is likely beside those that were found"""
         self.thumbnails: list[Thumbnail] = []
-        """Of the first and the last frame that could be read"""
+        """Thumbnails of the first and of the last frame that could be read"""
         HandTracker.__init__(self, networks, settings.threshold, settings.max_hands)
         self._searching = Search(self._networks, settings.threshold, plain=settings.plain)
         self._lost: list[TrackedHand] = []
@@ -85,7 +89,7 @@ class ClipFinder(HandTracker, Detector):
         self._search_wait = 0
 
     def finish(self) -> None:
-        """Make `frames` final."""
+        """Make `frames` final: fill in what both landmark networks see differently where only one ran."""
         for index, hand, tracked, count in self._seen_alone:
             difference, *later = tracked.differences[count - 1 : count + 1]
             if later:
@@ -101,7 +105,8 @@ class ClipFinder(HandTracker, Detector):
         side: Side | None = None,
         known: Iterable[Detections] = (),
     ) -> Detections | None:
-        """The hand in a box of the last frame (see `Detector`), which is tracked from there, both ways."""
+        """Return the hand in a box of the last frame (see `Detector`), and track it from there, both ways;
+        None where there is none."""
         index = len(self.frames) - 1
         checked = dict(zip(self.tracked, self.frames[index], strict=True))
         known = [*(t.last for t in self.tracked), *known]
@@ -119,7 +124,7 @@ class ClipFinder(HandTracker, Detector):
         return hand
 
     def find(self, rgb: np.ndarray | None, time: float = 0.0) -> Detections:
-        """The hands of the next frame (see `Detector`); `frames` may have more of it later."""
+        """Return the hands of the next frame (see `Detector`); `frames` may hold more hands of it later."""
         index = len(self.frames)
         self.frames.append(())
         if rgb is None:
@@ -152,7 +157,7 @@ class ClipFinder(HandTracker, Detector):
         return Detections.of([self.frames[index]])
 
     def _checked(self, rgb: np.ndarray, tracked: TrackedHand, index: int, time: float) -> Detections:
-        """A hand of that frame as it goes into `frames`."""
+        """Return a tracked hand of the frame `index` in the form in which it is stored in `frames`."""
         if tracked.seen_alone:
             self._seen_alone.append((index, tracked.last, tracked, len(tracked.differences)))
             return tracked.last
@@ -193,20 +198,21 @@ class ClipFinder(HandTracker, Detector):
         return self._searching.detect_new(rgb, self._searching.detect_palms(rgb, crops), self.hands)
 
     def _is_missing(self, lost: TrackedHand) -> bool:
-        """True if a lost hand is still to be searched for."""
+        """Return True if a lost hand is still to be searched for."""
         if lost.occluded:
             return lost.misses < TRACKING.max_occluded_searches
         return lost.misses < TRACKING.max_searches and not self.is_known(lost.last)
 
     def _start_tracks(self, hands: list[Detections], new: list[TrackedHand]) -> None:
-        """Begin to track those hands that are not tracked yet, and add them to the new ones."""
+        """Begin to track those of `hands` that are not tracked yet, and add them to `new`."""
         begun = self.begin(hands)
         new += begun
         if begun:
             self._searches, self._search_wait = 0, TRACKING.first_wait
 
     def _track_back(self, new: TrackedHand, index: int, past: Iterable[np.ndarray | None]) -> None:
-        """Track a new hand of that frame through the frames before it, until it is lost."""
+        """Track a hand that is new in the frame `index` through the `past` pictures, the last first, until it
+        is lost."""
         tracked = TrackedHand.of(new.last, self._threshold)
         for row, rgb in zip(range(index - 1, -1, -1), past, strict=False):
             if rgb is not None and not extend_track(self._networks, tracked, rgb, row, self.frames):
@@ -224,7 +230,8 @@ class PastFrames:
         return len(self._kept)
 
     def append(self, rgb: np.ndarray | None) -> None:
-        """Keep (H, W, 3) uint8 RGB, or None for a frame that could not be read; the first ones go."""
+        """Keep a picture (H, W, 3) uint8 RGB, or None for a frame that could not be read; drop the oldest
+        where memory is full."""
         self._kept.append(rgb)
         while sum(past.nbytes for past in self._kept if past is not None) > self._max_bytes:
             self._kept.popleft()
@@ -234,12 +241,14 @@ class PastFrames:
         self._kept.clear()
 
     def backwards(self) -> Iterator[np.ndarray | None]:
-        """The kept pictures, the last first."""
+        """Yield the kept pictures (H, W, 3) uint8 RGB, the last first; None for frames that could not be
+        read."""
         return reversed(self._kept)
 
 
 class PastJpegs(PastFrames):
-    """The last frames of a clip as JPEGs: ten times as much memory, and a hundred times as many frames."""
+    """The last frames of a clip as JPEGs, which may take ten times the memory and hold a hundred times as
+    many frames."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -247,14 +256,16 @@ class PastJpegs(PastFrames):
         self._max_bytes = 10 * TRACKING.max_past_bytes
 
     def append(self, rgb: np.ndarray | None) -> None:
-        """Keep (H, W, 3) uint8 RGB, compressed, or None; the first ones go."""
+        """Keep a picture (H, W, 3) uint8 RGB compressed, or None for an unreadable frame; drop the oldest
+        where memory is full."""
         import cv2
 
         packed = None if rgb is None else cv2.imencode(".jpg", rgb, [cv2.IMWRITE_JPEG_QUALITY, 95])[1]
         super().append(packed)
 
     def backwards(self) -> Iterator[np.ndarray | None]:
-        """The kept pictures, decompressed, the last first."""
+        """Yield the kept pictures (H, W, 3) uint8 RGB, decompressed, the last first; None for frames that
+        could not be read."""
         import cv2
 
         for packed in super().backwards():

@@ -10,7 +10,7 @@ import numpy as np
 
 def downscale(rgb: np.ndarray, block_width: int, block_height: int) -> np.ndarray:
     """Average whole blocks of pixels: (H, W, 3) uint8 to (H // block_height, W // block_width, 3), at least
-    one pixel a side. What is left over at the right and the bottom does not count."""
+    one pixel a side. Pixels left over at the right and the bottom do not count."""
     import cv2
 
     height, width = max(1, rgb.shape[0] // block_height), max(1, rgb.shape[1] // block_width)
@@ -27,18 +27,18 @@ class Crop:
     """
 
     linear: np.ndarray
-    """(2, 2) rotation, perhaps times a mirroring, times one positive scale"""
+    """(2, 2) matrix from picture to crop: a rotation, perhaps times a mirroring, times one positive scale"""
     offset: np.ndarray
-    """(2,) crop pixels"""
+    """(2,) shift in pixels of the crop, added after `linear`"""
     size: int
-    """Pixels a side"""
+    """Width and height of the crop, in its own pixels"""
 
     @classmethod
     def of_square(
         cls, centre: np.ndarray, span: float, size: int, *, turn: float = 0.0, mirrored: bool = False
     ) -> Crop:
-        """The square of `span` picture pixels about `centre` (2,), turned clockwise (as seen, y down) by
-        `turn` radians; `mirrored` swaps left and right before that."""
+        """Make the crop of a square of `span` picture pixels about `centre` (2,), turned clockwise (as seen,
+        y down) by `turn` radians; `mirrored` swaps left and right before that."""
         cos, sin = np.cos(turn), np.sin(turn)
         linear = np.array([[cos, -sin], [sin, cos]]) * (size / span)
         if mirrored:
@@ -47,7 +47,7 @@ class Crop:
 
     @cached_property
     def inverse(self) -> np.ndarray:
-        """(2, 2) inverse of `linear`."""
+        """(2, 2) inverse of `linear`, from crop pixels to picture pixels."""
         return np.linalg.inv(self.linear)
 
     @cached_property
@@ -57,12 +57,12 @@ class Crop:
 
     @cached_property
     def mirrored(self) -> bool:
-        """True if left and right hands are swapped."""
+        """True if the crop is a mirror image, so that left and right hands are swapped."""
         return bool(np.linalg.det(self.linear) < 0.0)
 
     def render(self, rgb: np.ndarray, *, black_beyond: bool = False) -> np.ndarray:
-        """Cut it out of a picture: (H, W, 3) uint8 -> (size, size, 3) uint8. Beyond the picture its border is
-        repeated, or it is black there."""
+        """Cut the crop out of a picture (H, W, 3) uint8; return (size, size, 3) uint8. Beyond the picture its
+        border is repeated, or with `black_beyond` it is black there."""
         import cv2
 
         height, width = rgb.shape[:2]
@@ -93,6 +93,6 @@ class Crop:
         return np.column_stack([plane, world[:, 2]])
 
     def points_to_picture(self, points: np.ndarray) -> np.ndarray:
-        """Map points (21, 3) with depth from crop pixels to picture pixels."""
+        """Map points (21, 3) from crop pixels to picture pixels; their depth is scaled alike."""
         plane = (points[:, :2] - self.offset) @ self.inverse.T
         return np.column_stack([plane, points[:, 2] / self.scale])

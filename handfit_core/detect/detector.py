@@ -30,8 +30,8 @@ class Detector:
     def find(self, rgb: np.ndarray | None, time: float = 0.0) -> Detections:
         """Detect all hands of the next picture (H, W, 3) uint8 RGB.
 
-        `time`, seconds, rises from frame to frame of a clip. None stands for a frame that could not be read,
-        and has no hands.
+        `time`, in seconds, rises from frame to frame of a clip. A picture of None stands for a frame that
+        could not be read, and has no hands.
         """
         raise NotImplementedError
 
@@ -42,25 +42,28 @@ class Detector:
         side: Side | None = None,  # noqa: ARG002
         known: Iterable[Detections] = (),  # noqa: ARG002
     ) -> Detections | None:
-        """The hand that a person sees in a box (x, y, width, height), pixels, of the picture that `find` was
-        given last: the one about whose keypoints the box is drawn, or what is detected there beside the hands
-        that `find` returned and the `known` ones; where there is nothing else, the better detection of one of
+        """Return the hand that a person sees in a box (x, y, width, height), pixels, of the picture that
+        `find` was given last; None where there is none.
+
+        It is the hand about whose keypoints the box is drawn, or what is detected there beside the hands that
+        `find` returned and the `known` ones; where there is nothing else, the better detection of one of
         these. `side` is the side that the person names. In a clip the hand is tracked from there, both ways.
-        None: there is none."""
+        """
         raise OptionError("this detector cannot look into a region of a picture; the detector direct can")
 
     @property
     def most_seen(self) -> int:
-        """The most hands that were seen at once, be they more than are wanted; 0: they were not counted."""
+        """The most hands that were seen in one picture, even if more than are wanted; 0 where they were not
+        counted."""
         return 0
 
     @property
     def missed(self) -> bool:
-        """True if another hand is likely than those that were found."""
+        """True if the pictures likely show another hand beside those that were found."""
         return False
 
     def close(self) -> None:
-        """Give memory and threads back."""
+        """Release the networks' memory and threads."""
 
     def __enter__(self) -> Self:
         return self
@@ -74,15 +77,16 @@ class Detected:
     """The hands of the T frames of a source."""
 
     numbers: list[int]
-    """(T) frame numbers"""
+    """The T numbers of the frames in the source"""
     hands: Detections
-    """Of all frames; an unreadable one has none"""
+    """The hands of all T frames; an unreadable frame has none"""
     most_seen: int = 0
-    """The most hands that were seen at once, be they more than are wanted; 0: they were not counted"""
+    """The most hands that were seen in one frame, even if more than are wanted; 0 where they were not
+    counted"""
     cuts: tuple[int, ...] = ()
-    """Rows that begin another shot"""
+    """Rows (indices 0 to T - 1) of the frames that begin another shot"""
     missed: bool = False
-    """True if another hand is likely than those that were found"""
+    """True if the frames likely show another hand beside those that were found"""
 
 
 @dataclass(frozen=True)
@@ -96,26 +100,26 @@ class Region:
     width: float
     height: float
     frame: int | None = None
-    """of the source; None: the first that is used"""
+    """Number of the source's frame in which the box is drawn; None: the first frame that is used"""
     side: Side | None = None
-    """which hand it is, as somebody says; None: as it is judged"""
+    """Side of the hand, as somebody says; None: the side is judged by the detector"""
 
 
 @dataclass(frozen=True)
 class DetectorSettings:
-    """A detector's settings."""
+    """The options with which a detector is opened."""
 
     max_hands: int | None = 2
-    """Hands of one picture that are wanted; None: all"""
+    """The most hands of one picture that are wanted; None: all"""
     video: bool = False
     """True if the pictures are the frames of one clip, in order; else they are independent of each other"""
     threshold: float = 0.5
-    """Probability that a hand must have, 0..1"""
+    """Least probability, 0..1, that a detection must have to count as a hand"""
     landmark_model: str | os.PathLike[str] | None = None
-    """A model file in place of the backend's own"""
+    """Path of a model file in place of the backend's own; None: the backend's own"""
     quality: Quality = "standard"
     plain: bool = False
-    """Whether to search the whole picture only, with one prediction for each hand: faster, and finds less"""
+    """True to search the whole picture only, with one prediction for each hand: faster, and finds less"""
 
 
 class ChunkOfFrames(Protocol):
@@ -123,7 +127,7 @@ class ChunkOfFrames(Protocol):
 
     @property
     def numbers(self) -> list[int]:
-        """Numbers of its frames: fewer than the media's `chunk_frames` at the clip's end."""
+        """Numbers of the chunk's frames in the source: `chunk_frames` of the media, fewer at the clip's end."""
         ...
 
 
@@ -142,29 +146,31 @@ class InChunks(Protocol[Part]):
         self.close()
 
     def close(self) -> None:
-        """Give memory, threads and the file back."""
+        """Release memory and threads, and close the file."""
 
     def single_threaded(self) -> None:
-        """Use one thread, since other threads detect other chunks."""
+        """Run in one thread, since other threads detect other chunks."""
 
     def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool], /) -> Part:
-        """Detect what is in the chunk with that index, counted from 0, from its own frames alone.
-        `on_frame` is called with the count of its frames so far; `should_stop` is asked before each, and ends
-        the chunk there."""
+        """Detect what is in the chunk with that index, counted from 0, from the chunk's own frames alone.
+        `on_frame` is called with the count of the chunk's frames that are done; `should_stop` is asked before
+        each frame, and ends the chunk there."""
         ...
 
 
 class ChunkedDetector(InChunks[Any], Protocol):
-    """Finds the hands of one clip; ours is `chunks.ClipDetector`, which makes and joins `chunks.Chunk`s."""
+    """Finds the hands of one clip; the built-in one is `chunks.ClipDetector`, which makes and joins
+    `chunks.Chunk`s."""
 
     def joined(self, chunks: Sequence[Any], /) -> tuple[Detections, list[int]]:
-        """The hands of all frames, and the rows that begin another shot."""
+        """Join the chunks of a clip: return the hands of all its frames, and the rows that begin another
+        shot."""
         ...
 
 
 @dataclass(frozen=True)
 class Backend:
-    """A way to detect hands, and its capabilities."""
+    """A way to detect hands, with the functions that open it and its capabilities."""
 
     open: Callable[[DetectorSettings], Detector]
     """Makes a detector, and imports heavy packages only then. Raises LandmarkModelError where a model file is
@@ -173,12 +179,12 @@ class Backend:
     """Versions and models on which the detections depend, as a string by which an evaluation knows which ones
     it may use again"""
     clip: Callable[[Media, DetectorSettings, Sequence[Region]], ChunkedDetector] | None = None
-    """Makes what finds the hands of a clip, and those in the regions that somebody has drawn. None: the
-    detector that `open` makes gets it frame after frame, in one thread, and no cut to another shot is
-    noticed"""
+    """Makes the detector of a whole clip's hands, and of those in the regions that somebody has drawn. None:
+    the detector that `open` makes gets the clip frame after frame, in one thread, and no cut to another shot
+    is noticed"""
     calibrated: Callable[[DetectorSettings], bool] = lambda _settings: False
-    """True if `fit.doubt` can tell how far off the hands are likely to be that it finds with these settings.
-    That was measured with MediaPipe's networks, and is not known for other keypoints"""
+    """Returns True if `fit.doubt` can tell, for hands found with these settings, how far off they are likely
+    to be. That was measured with MediaPipe's networks, and is not known for other keypoints"""
 
 
 DETECTORS: Final = Registry(

@@ -27,46 +27,48 @@ class IdentitySettings:
     frames."""
 
     side_weight: float = 0.25
-    """Weight of a detection's side: those of neighbouring frames are wrong together"""
+    """Weight of the side that a detection names, small since the sides of neighbouring frames are wrong
+    together"""
     max_side_probability: float = 0.95
-    """To which the side's probability of a detection, and a hand's share of detections of one side, are
-    clipped"""
+    """Bound to which probabilities of a side are clipped: that of a detection, and a hand's share of
+    detections of one side"""
     max_motion: float = 3.0
-    """From frame to frame, beyond which all motions are equally unlikely"""
+    """Motion from one frame to the next beyond which all motions are equally unlikely"""
     start_motion: float = 1.0
-    """Motion that the start of another hand is as unlikely as"""
+    """Motion that is as unlikely as the start of another hand"""
     min_typical_motion: float = 0.1
-    """A frame; the typical motion is the clip's median, and no less"""
+    """The least motion per frame, in hand sizes, that counts as typical; else the clip's median does"""
     min_typical_deformation: float = 0.05
-    """A frame; the typical motion of a hand's points about their mean is the clip's median, and no less. A
-    left hand is never the shape of a right one"""
+    """The least motion per frame, in hand sizes, of a hand's points about their mean that counts as typical;
+    else the clip's median does. A left hand is never the shape of a right one"""
     gap_growth: float = 0.5
-    """What each frame without a detection adds to how far a hand may have moved, as a share of that"""
+    """How much farther a hand may have moved for each frame without a detection, as a share of the distance
+    in one frame"""
     gap_motion: float = 0.15
-    """Motion that a gap in a hand's detections is as unlikely as"""
+    """Motion that is as unlikely as a gap in a hand's detections"""
     velocity_frames: int = 3
-    """For which a hand may keep its velocity"""
+    """Frames for which a hand may keep its velocity"""
     max_states: int = 12
-    """States that are kept from frame to frame, the likeliest"""
+    """Number of the likeliest states that are kept from frame to frame"""
     max_worse: float = 40.0
     """Negative log-likelihood by which a state may be worse than the likeliest one"""
     min_side_difference: float = 0.2
-    """Two hands whose shares of detections that are named left differ by less may be of one side, so that
+    """Difference of two hands' shares of detections named left below which both may be of one side, so that
     sides tell nothing"""
     max_third_share: float = 0.2
-    """Of the frames with two hands or more, the share that may have three, as if a face were taken for
-    one"""
+    """Share of the frames with two hands or more that may have three, as if a face were taken for one"""
     max_rounds: int = 3
-    """Rounds of assigning detections and estimating the hands' sides from the assignment"""
+    """Most rounds of assigning detections and estimating the hands' sides from the assignment"""
     max_tracks: int = 32
-    """The surest tracks are assigned anew: most clips have two or four, and a crowd's would take long"""
+    """How many of the surest tracks are assigned anew: most clips have two or four, and a crowd's would take
+    long"""
     near_distance: float = 3.0
-    """Tracks come near each other where they are no farther apart than this"""
+    """Distance up to which two tracks count as near each other"""
     near_frames: int = 12
-    """in frames that are no farther apart than this"""
+    """Frames between two detections up to which their tracks can come near each other"""
     max_partners: int = 3
-    """Other tracks from which each one is separated, one after another: as many as two people have other
-    hands"""
+    """Most other tracks from which each track is separated, one after another: as many as two people have
+    other hands"""
 
 
 IDENTITY: Final = IdentitySettings()
@@ -74,8 +76,8 @@ IDENTITY: Final = IdentitySettings()
 
 def separate_hands(hands: Detections, tracks: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Rearrange the detections of a clip into tracks that stay on their hands where two of these come near
-    each other. A hand that was lost for a moment is one track again. `tracks`: (N,) the rows of each, in the
-    order of frames, the surest first.
+    each other; a hand that was lost for a moment is one track again. `tracks` are the rows (N,) of each
+    track's detections, in the order of frames, the surest track first.
 
     The sides that a person has given are kept: no track has detections of two given sides, where another one
     is near that they may be of.
@@ -98,8 +100,8 @@ def separate_hands(hands: Detections, tracks: Sequence[np.ndarray]) -> list[np.n
 def _near_groups(
     hands: Detections, tracks: Sequence[np.ndarray], apart: set[tuple[int, int]]
 ) -> list[list[np.ndarray]]:
-    """Group tracks that are near each other most often, with their fragments, unless they are among the pairs
-    that were just set `apart`. Few frames of a group have more than two hands."""
+    """Group tracks with the other tracks that they are near most often and with their fragments, except for
+    the pairs that were just set `apart`. Few frames of a group have more than two hands."""
     frames = [hands.frame[track] for track in tracks]
     near: list[tuple[int, int, int]] = []
     for one, other in combinations(range(len(tracks)), 2):
@@ -126,8 +128,8 @@ def _near_groups(
 
 
 def _assign_two(hands: Detections, tracks: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Rearrange a group's detections into tracks of two hands, and of what is left in frames that have
-    three."""
+    """Rearrange a group's detections into the tracks of two hands, and a track of what is left in frames that
+    have three."""
     rows = np.concatenate(tracks)
     number = np.repeat(np.arange(len(tracks)), [len(track) for track in tracks])
     order = np.lexsort([number, hands.frame[rows]])
@@ -153,26 +155,26 @@ class _Assignment:
 
     def __init__(self, hands: Detections) -> None:
         self.rows: list[list[int]] = [rows.tolist() for rows in hands.rows_by_frame]
-        """Of the detections of each frame that has some"""
+        """The rows of the detections of each frame that has any"""
         self._frame: list[int] = hands.frame.tolist()
         self._size: list[float] = np.maximum(hands.extent, 1e-9).tolist()
-        """(N) pixels"""
+        """N sizes of the hands in the picture, pixels"""
         self._points = hands.keypoints_2d @ np.array([1.0, 1.0j])
-        """(N, 21) complex: x + iy, pixels"""
+        """(N, 21) complex numbers x + iy: the keypoints in pixels"""
         votes, given = hands.side_votes, hands.given_side
         left = votes[:, 0] / np.maximum(votes.sum(axis=1), 1e-9)
         left = np.where(given >= 0, given == SIDES.index("left"), left)
         self.left = _clipped(left)
-        """(N,) probability of a left hand"""
+        """(N,) probability that each detection is of a left hand, clipped"""
         named = given[:, None] == np.arange(len(SIDES))
         self._excluded = named & named.any(axis=0).all()
-        """(N, 2) bool: whether it cannot be of the first hand, or of the second, by the sides that a person
-        has given to both"""
+        """(N, 2) bool: True where a detection cannot be of the first hand, or of the second, by the sides
+        that a person has given to both"""
 
     def _step(self, last: int, now: int, velocity: complex) -> tuple[float, float, complex]:
-        """Motion, deformation and velocity of a hand whose detection `last` is followed by `now`, with
-        `velocity` before: hand sizes that it moved otherwise than expected; hand sizes that its points moved
-        about their mean; pixels a frame, complex."""
+        """Return motion, deformation and velocity of a hand whose detection `last` is followed by `now`, with
+        `velocity` (complex, pixels a frame) before: the hand sizes that it moved otherwise than expected, the
+        hand sizes that its points moved about their mean, and its new velocity in complex pixels a frame."""
         gap, size = self._frame[now] - self._frame[last], max(self._size[last], self._size[now])
         moved = self._points[now] - self._points[last]
         shift = complex(moved.mean())
@@ -184,7 +186,7 @@ class _Assignment:
 
     @property
     def _typical(self) -> tuple[float, float]:
-        """Typical motion and deformation from one frame to the next, hand sizes."""
+        """Return the typical motion and deformation from one frame to the next, in hand sizes."""
         steps = [
             min((self._step(last, row, 0j)[:2] for last in before), key=sum)
             for before, rows in pairwise(self.rows)
@@ -196,8 +198,9 @@ class _Assignment:
         return motion, change
 
     def owners(self, rates: np.ndarray) -> np.ndarray:
-        """(N,) the hand of each detection, 0 or 1, on the likeliest path; -1: of neither, since both have a
-        likelier one in that frame. `rates` (2,): shares of the hands' detections that are named left."""
+        """Return (N,) the hand of each detection, 0 or 1, on the likeliest path; -1 for neither, where both
+        hands have a likelier detection in that frame. `rates` (2,) are the shares of the hands' detections
+        that are named left."""
         rates, left = _clipped(rates), self.left[:, None]
         side_costs = -IDENTITY.side_weight * (left * np.log(rates) + (1.0 - left) * np.log(1.0 - rates))
         # The first hand is the one that is named right more often.

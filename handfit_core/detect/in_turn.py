@@ -23,16 +23,17 @@ class InTurnSettings:
     """When the present network runs beside the one of December 2020."""
 
     seconds: float = 6.0 / 30.0
-    """From one of its runs to the next, at most"""
+    """Most seconds from one run of the present network to the next"""
     max_drift: float = 0.06
-    """Sizes of the hand by which the difference may change until the next run, if it goes on changing as
-    fast as before"""
+    """Sizes of the hand by which the difference between the networks may change until the next run, if it
+    goes on changing as fast as before"""
     max_change: float = 0.05
-    """Sizes of the hand that its points have moved about their mean since the last run, on average"""
+    """Sizes of the hand, on average, by which its points may move about their mean until the present network
+    runs again"""
     min_presence: float = 0.9
-    """Presence by the network of December 2020, below which the present one decides"""
+    """Presence by the network of December 2020, 0..1, below which the present network decides"""
     near: float = 1.0
-    """Sizes of the hand up to another one"""
+    """Distance to another hand, in sizes of the hand, below which the present network runs in every frame"""
 
 
 IN_TURN: Final = InTurnSettings()
@@ -43,23 +44,26 @@ class Difference:
     """What the present network sees of a hand beyond what the one of December 2020 does, in one frame."""
 
     time: float
-    """Seconds"""
+    """Seconds by the source's clock at which both networks saw the hand"""
     lasts: float
-    """Seconds until it is to be taken again, at most"""
+    """Most seconds until the difference is to be taken again"""
     extent: float
-    """Pixels; the hand's size by the network of December 2020"""
+    """Size of the hand in the picture by the network of December 2020, pixels"""
     shape: np.ndarray
-    """(21, 2) its points about their mean, in sizes of the hand"""
+    """(21, 2) the points by the network of December 2020 about their mean, in sizes of the hand"""
     keypoints: np.ndarray
-    """(21, 3) from its points to the present network's, in sizes of the hand"""
+    """(21, 3) vectors from the points of the network of December 2020 to the present network's, in sizes of
+    the hand"""
     world: np.ndarray
-    """(21, 3) metres, from its world landmarks to the present network's"""
+    """(21, 3) metres: vectors from the world landmarks of the network of December 2020 to the present
+    network's"""
     right: float
-    """Score of the right side by the present network"""
+    """Score of the right side by the present network, 0..1"""
 
     @classmethod
     def of(cls, hand: Detections, time: float, before: Self | None = None) -> Self:
-        """The difference of a hand that both have seen at that time; `before` is the hand's last one."""
+        """Take the difference of a hand that both networks have seen at that time in seconds; `before` is the
+        hand's last difference, None for its first."""
         points, by_2020 = hand.keypoints[0], _points_2020(hand)
         extent = _extent(by_2020)
         right = hand.side[0] == SIDES.index("right")
@@ -78,18 +82,21 @@ class Difference:
         )
 
     def is_due(self, hand: Detections, time: float) -> bool:
-        """True if it is to be taken again of a hand that the network of December 2020 sees at that time."""
+        """Return True if the difference is to be taken again of a hand that the network of December 2020 sees
+        at that time in seconds."""
         if time - self.time > self.lasts - 1e-3:
             return True
         return self._change(hand) > IN_TURN.max_change
 
     def _change(self, hand: Detections) -> float:
-        """Sizes of the hand by which its points have moved about their mean since then, on average."""
+        """Return by how many sizes of the hand its points have moved about their mean, on average, since the
+        difference was taken."""
         moved = _about_mean(_points_2020(hand)) / self.extent - self.shape
         return float(np.linalg.norm(moved, axis=-1).mean())
 
     def added_to(self, hand: Detections) -> Detections:
-        """A hand that only the network of December 2020 has seen, as both are likely to see it."""
+        """Return a hand that only the network of December 2020 has seen, as both networks are likely to see
+        it."""
         by_2020 = _points_2020(hand)
         return replace(
             hand,
@@ -100,8 +107,8 @@ class Difference:
         )
 
     def towards(self, other: Self, hand: Detections) -> Self:
-        """The difference of the hand in a frame between this one's and the other one's, nearer to that in
-        which the hand's shape is more alike: it is a better guide than time."""
+        """Interpolate between this difference and another for the hand in a frame between their times, nearer
+        to the one in which the hand's shape is more alike, which is a better guide than time."""
         since, until = self._change(hand) + 1e-9, other._change(hand) + 1e-9
         share = since / (since + until)
         values = {

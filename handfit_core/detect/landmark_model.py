@@ -75,7 +75,8 @@ class BodyFile:
         "mediapipe/modules/pose_landmark/pose_landmark_full.tflite",
     )
     landmarks_kept: tuple[int, int, int] = (0, 1, 4)
-    """Its outputs but for the segmentation and the heat maps, which take three quarters of its time"""
+    """Indices of the landmark network's outputs that are kept: all but the segmentation and the heat maps,
+    which take three quarters of its time"""
 
 
 BODY: Final = BodyFile()
@@ -95,7 +96,7 @@ class Network2020:
     within: range = range(3877899, 7670519)
     within_sha256: str = "276abb7cb09c386247ba5b6fc1aa1ebba574a239777c000d5ffb06db997d6ffa"
     max_bytes: int = 100_000_000
-    """Limit of what is read of a file that should be that network"""
+    """Most bytes that are read of a file that should be the landmark network of December 2020"""
     outputs: tuple[str, str, str] = ("landmarks", "presence", "handedness")
 
 
@@ -103,10 +104,10 @@ NETWORK_2020: Final = Network2020()
 
 
 def landmark_model_path(explicit: str | os.PathLike[str] | None = None) -> Path:
-    """The landmark model file to use.
+    """Return the path of the landmark model file to use.
 
-    The first that is given or exists of: `explicit`; `$HANDFIT_LANDMARK_MODEL`; the file bundled
-    with this package; the one in the cache folder. Raises LandmarkModelError.
+    It is the first that is given or exists of: `explicit`; `$HANDFIT_LANDMARK_MODEL`; the file bundled with
+    this package; the one in the cache folder. Raises LandmarkModelError where there is none.
     """
     for named in (explicit, os.environ.get(TASK.variable)):
         if named:
@@ -123,8 +124,8 @@ def landmark_model_path(explicit: str | os.PathLike[str] | None = None) -> Path:
 
 
 def body_model_path() -> Path:
-    """The file of the body networks: `$HANDFIT_BODY_MODEL`, or the one bundled with this package or in the
-    cache folder. Raises LandmarkModelError."""
+    """Return the path of the body networks' file: `$HANDFIT_BODY_MODEL`, or the one bundled with this package
+    or in the cache folder. Raises LandmarkModelError where there is none."""
     named = os.environ.get(BODY.variable)
     for path in [path_of(named)] if named else _files_there(BODY.name):
         if named != "none" and is_file(path):
@@ -137,17 +138,19 @@ def body_model_path() -> Path:
 
 
 def fingerprint(explicit: str | os.PathLike[str] | None = None) -> str:
-    """Hashes of the model files and the version of MediaPipe that runs them. Raises LandmarkModelError."""
+    """Return hashes of the model files and the version of MediaPipe that runs them, as one text. Raises
+    LandmarkModelError where the landmark model is missing."""
     model = hashlib.sha256(landmark_model_path(explicit).read_bytes()).hexdigest()
     second = f"|landmarks of 2020 {NETWORK_2020.sha256}" if landmarks_2020_path() else ""
     return f"{model}{second}|mediapipe {version('mediapipe')}"
 
 
 def landmarks_2020_path() -> Path | None:
-    """The checked file of the landmark network of December 2020; None to go without it.
+    """Return the path of the checked file of the landmark network of December 2020; None to go without it.
 
-    The first that is given or exists of: `$HANDFIT_LANDMARKS_2020`; the file bundled with this package; the
-    one in the cache folder. A file that is missing, damaged or of another version is a warning, and None.
+    It is the first that is given or exists of: `$HANDFIT_LANDMARKS_2020`; the file bundled with this package;
+    the one in the cache folder. A file that is missing, damaged or of another version leads to a warning, and
+    to None.
     """
     named = os.environ.get(NETWORK_2020.variable)
     if named == "none":
@@ -159,7 +162,7 @@ def landmarks_2020_path() -> Path | None:
 
 @lru_cache
 def _is_landmarks_2020(path: Path) -> bool:
-    """True if a file is the landmark network of December 2020. Warns once where it is not."""
+    """Return True if a file is the landmark network of December 2020. Warns once where it is not."""
     try:
         found = hashlib.sha256(read_file(path, NETWORK_2020.max_bytes)).hexdigest()
     except OSError as error:
@@ -177,7 +180,7 @@ def _is_landmarks_2020(path: Path) -> bool:
 
 
 def is_calibrated(explicit: str | os.PathLike[str] | None = None) -> bool:
-    """True if the model file to use holds the networks with which the expected errors were calibrated,
+    """Return True if the model file to use holds the networks with which the expected errors were calibrated,
     wherever it lies and whoever zipped it. Raises LandmarkModelError where there is none."""
     try:
         with zipfile.ZipFile(landmark_model_path(explicit)) as task:
@@ -190,12 +193,13 @@ def is_calibrated(explicit: str | os.PathLike[str] | None = None) -> bool:
 
 
 def cached_path(name: str = TASK.name) -> Path:
-    """Where the assembled file of that name is kept between runs."""
+    """Return the path in the cache folder at which the assembled file of that name is kept between runs."""
     return cache_dir() / name
 
 
 def _files_there(name: str) -> list[Path]:
-    """The file of that name that is bundled with this package, and the one in the cache folder."""
+    """Return the paths of the files of that name that exist: the one bundled with this package, then the one
+    in the cache folder."""
     return list(filter(is_file, (Path(__file__).parent / "data" / name, cached_path(name))))
 
 
@@ -209,8 +213,8 @@ def assemble(wheel: str | os.PathLike[str], destination: str | os.PathLike[str])
 
 
 def assemble_body(wheel: str | os.PathLike[str], destination: str | os.PathLike[str]) -> Path:
-    """Make the file of the body networks, with the metadata by which MediaPipe runs them, as `assemble` makes
-    the hands'."""
+    """Make the file of the body networks from the pinned MediaPipe wheel, with the metadata by which
+    MediaPipe runs them; errors are raised as by `assemble`."""
     networks = _of_wheel(wheel, (BODY.detector, BODY.landmarks))
     detector, landmarks = BODY.detector[0], BODY.landmarks[0]
     outputs = ("landmarks", "presence", "world")
@@ -221,7 +225,8 @@ def assemble_body(wheel: str | os.PathLike[str], destination: str | os.PathLike[
 
 
 def _of_wheel(wheel: str | os.PathLike[str], entries: Iterable[tuple[str, str]]) -> dict[str, bytes]:
-    """The members of the pinned MediaPipe wheel by the names that they get. Raises LandmarkModelError."""
+    """Return the members of the pinned MediaPipe wheel by the names that they get. Raises LandmarkModelError
+    where the wheel is another one."""
     wheel = Path(wheel)
     try:
         found = hashlib.sha256(wheel.read_bytes()).hexdigest()
@@ -237,7 +242,8 @@ def _of_wheel(wheel: str | os.PathLike[str], entries: Iterable[tuple[str, str]])
 
 
 def _write_task(destination: str | os.PathLike[str], networks: Mapping[str, bytes]) -> Path:
-    """Write a zip of networks as MediaPipe's tasks read it. Raises OutputError."""
+    """Write networks into a zip that MediaPipe's tasks can read; returns its path. Raises OutputError where
+    it cannot be written."""
     destination = Path(destination)
     with (
         written_whole(destination) as beside,

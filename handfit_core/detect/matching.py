@@ -1,4 +1,5 @@
-"""Comparing hand detections of one picture: distance, overlap, which are of one hand, and their mean."""
+"""Compares hand detections of one picture: their distance and overlap, which of them are of one hand, and the
+mean of those."""
 
 from __future__ import annotations
 
@@ -29,23 +30,24 @@ class MatchingSettings:
     chosen_hand_iou: float = 0.97
     """IoU with the box of a hand's keypoints above which a person's box was drawn about that very hand"""
     bone_radius: float = 0.14
-    """A point nearer than this to another hand's bones lies on it, or so near that the landmark network may
-    take the one hand for the other"""
+    """Distance from another hand's bones below which a point lies on that hand, or so near that the landmark
+    network may take the one hand for the other"""
     min_part_inside: float = 0.5
-    """Share of the smaller hand's points within the other's box above which it may be a part of that hand,
-    as fingers are, or the same hand without its forearm"""
+    """Share of the smaller hand's points within the larger one's box above which it may be a part of that
+    hand, as fingers are, or the same hand without its forearm"""
     max_part_size: float = 0.6
-    """Size of such a part, in sizes of the other hand, at most"""
+    """Largest size of a detection that may be a part of another hand, in sizes of that hand"""
     pairs_at_once: int = 1 << 9
-    """Pairs of hands whose points are compared together: what a processor's cache holds, and what takes no
-    new memory from the system each time"""
+    """Number of pairs of hands whose points are compared together: what a processor's cache holds, and what
+    takes no new memory from the system each time"""
 
 
 MATCHING: Final = MatchingSettings()
 
 
 def distance(hand: Detections, others: Detections) -> np.ndarray:
-    """(N,) mean distance of the keypoints in the picture, in sizes of the larger hand, from one hand to N."""
+    """Return (N,) the mean distance of the keypoints in the picture from one hand to each of N others, in
+    sizes of the larger hand of each pair."""
     size = np.maximum(np.maximum(hand.extent, others.extent), 1e-9)
     apart = np.linalg.norm(hand.keypoints_2d - others.keypoints_2d, axis=-1)
     return np.asarray(apart.mean(axis=-1) / size)
@@ -58,8 +60,9 @@ def distances(
     limit: float,
     shift: np.ndarray | float = 0.0,
 ) -> np.ndarray:
-    """(P,) `distance` of the hands in those rows (P,), each shifted by (P, 2) pixels, to those in the other
-    rows (P,); infinite where it exceeds `limit`, which the centroids alone mostly tell."""
+    """Return (P,) the `distance` between P pairs of hands, those in `rows` (P,), shifted by (P, 2) pixels,
+    and those in `other_rows` (P,); infinite where it exceeds `limit`, which the centroids alone mostly
+    tell."""
     shift = np.broadcast_to(shift, (len(rows), 2))
     size = np.maximum(np.maximum(hands.extent[rows], hands.extent[other_rows]), 1e-9)
     apart = _lengths(hands.centroid[rows] + shift - hands.centroid[other_rows])
@@ -75,8 +78,8 @@ def distances(
 
 
 def share_within(hands: Detections, rows: np.ndarray, box_rows: np.ndarray) -> np.ndarray:
-    """(P,) share of the points of the hands in those rows (P,) that lie within the boxes of those in the
-    other rows (P,)."""
+    """Return (P,) for P pairs of hands the share, 0..1, of the points of the hand in `rows` (P,) that lie
+    within the box of the hand in `box_rows` (P,)."""
     share = np.zeros(len(rows))
     low, high = hands.box_min, hands.box_max
     overlapping = (low[rows] <= high[box_rows]) & (high[rows] >= low[box_rows])
@@ -90,8 +93,8 @@ def share_within(hands: Detections, rows: np.ndarray, box_rows: np.ndarray) -> n
 
 
 def covers(hands: Detections, rows: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(K,) bool: which points (K, 2) in pixels lie on one of the hands in those rows (P,), within
-    `MatchingSettings.bone_radius` of its bones."""
+    """Return (K,) bool: True for the points (K, 2), in pixels, that lie on one of the hands in `rows` (P,),
+    within `MatchingSettings.bone_radius` of its bones."""
     covered = np.zeros(len(points), dtype=bool)
     for part in slices(len(rows), MATCHING.pairs_at_once // NUM_KEYPOINTS):
         # In a dense crowd a few hands cover every point.
@@ -110,12 +113,13 @@ def covers(hands: Detections, rows: np.ndarray, points: np.ndarray) -> np.ndarra
 
 
 def _lengths(vectors: np.ndarray) -> np.ndarray:
-    """(...) Euclidean lengths of (..., 2); NumPy's norm takes several times as long."""
+    """Return the (...) Euclidean lengths of vectors (..., 2); NumPy's norm takes several times as long."""
     return np.sqrt(np.square(vectors[..., 0]) + np.square(vectors[..., 1]))
 
 
 def is_same_hand(hand: Detections, others: Detections) -> np.ndarray:
-    """(N,) bool: which of N hands a detection is of, be it once as a left and once as a right one."""
+    """Return (N,) bool: True for those of N detections that are of the same hand as one detection, even where
+    one names it left and the other right."""
     size = np.maximum(hand.extent, others.extent)
     palms = [each.keypoints_2d[:, _PALM].mean(axis=1) for each in (hand, others)]
     return np.asarray(
@@ -126,13 +130,14 @@ def is_same_hand(hand: Detections, others: Detections) -> np.ndarray:
 
 
 def overlaps(hand: Detections, others: Detections) -> bool:
-    """True if all of a hand lies where another one is: hands that cross share a place, but not with all their
-    points."""
+    """Return True if all of a hand lies where another one is: hands that cross share a place, but not with
+    all their points."""
     return bool((distance(hand, others) < MATCHING.same_hand_distance).any())
 
 
 def is_part_of(one: Detections, other: Detections) -> bool:
-    """True if the smaller of two hands may be a part of the other; the order does not matter."""
+    """Return True if the smaller of two hands may be a part of the larger; the order of the arguments does
+    not matter."""
     small, large = sorted((one, other), key=lambda hand: hand.extent[0])
     row = np.zeros(1, dtype=int)
     return bool(
@@ -142,15 +147,16 @@ def is_part_of(one: Detections, other: Detections) -> bool:
 
 
 def hand_of_box(hands: Sequence[Detections], box: Sequence[float]) -> Detections | None:
-    """The one of these hands about whose keypoints a box (x, y, width, height) was drawn; None: it is about
-    none of them."""
+    """Return the one of these hands about whose keypoints a box (x, y, width, height), pixels, was drawn;
+    None where it is about none of them."""
     x, y, width, height = box
     shares = iou(np.array([[[x, y], [x + width, y + height]]]), Detections.of([hands]).keypoints_2d)
     return hands[int(shares.argmax())] if shares.max(initial=0.0) > MATCHING.chosen_hand_iou else None
 
 
 def iou(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(N,) intersection over union, 0..1, of the boxes about two sets of points, (N, K, 2) or (1, K, 2)."""
+    """Return (N,) the intersection over union, 0..1, of the boxes about two sets of points, (N, K, 2) or (1,
+    K, 2)."""
     low = np.maximum(a.min(axis=1), b.min(axis=1))
     high = np.minimum(a.max(axis=1), b.max(axis=1))
     intersection = np.clip(high - low, 0.0, None).prod(axis=-1)
@@ -159,7 +165,7 @@ def iou(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def mean_detection(hands: Detections) -> Detections:
-    """One hand from several predictions for it, as test-time augmentation has them.
+    """Average several predictions for one hand, as test-time augmentation gives them.
 
     Keypoints and world landmarks are averaged; `keypoints_2020` over the predictions that have them. The side
     is voted for with the scores; the mean's score is what that side got per prediction, so that predictions

@@ -14,10 +14,12 @@ from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.landmark_model import fingerprint, is_calibrated, landmark_model_path
 
 MAX_HANDS = 10
-"""Where all hands are wanted: the graph has a fixed number of places for them, each of which costs"""
+"""How many hands MediaPipe's graph looks for where all are wanted: it has a fixed number of places for them,
+each of which costs time"""
 
 MAX_SIDE_PX = 1920
-"""Larger pictures are downscaled to this side: the networks' inputs have at most 224 pixels a side"""
+"""Longest side in pixels of the pictures that MediaPipe gets; larger ones are downscaled to it, since the
+networks' inputs have at most 224 pixels a side"""
 
 
 class MediaPipeHands(Detector):
@@ -62,7 +64,7 @@ class MediaPipeHands(Detector):
         self._landmarker.close()
 
     def find(self, rgb: np.ndarray | None, time: float = 0.0) -> Detections:
-        """The hands of a picture (see `Detector`); `time` is used for video only."""
+        """Return the hands of a picture (see `Detector`); `time`, in seconds, is used for video only."""
         if rgb is None:
             return Detections.of([[]])
         height, width = rgb.shape[:2]

@@ -41,11 +41,12 @@ class NetworkSettings:
     hand_input_px: int = 224
     """Pixels a side of the landmark network's input"""
     depth_scale: float = 0.4
-    """The landmark network's depth, in units of what it gives for x and y"""
+    """What one unit of the landmark network's x and y is in its depth, which is divided by this"""
     same_palm_distance: float = 0.35
-    """Sides of their boxes; palms of about one size whose centres are nearer than this are one"""
+    """Distance between centres, in sides of their boxes, below which palms of about one size are one palm"""
     palm_of_hand_distance: float = 0.2
-    """Sides of its box; a palm's points are on average nearer than this to the landmarks of its hand"""
+    """Mean distance, in sides of the palm's box, below which a palm's points lie on the landmarks of its own
+    hand"""
     palm_crop_span: float = 2.6
     """Side of the hand's crop, in sides of its palm's box"""
     palm_crop_shift: float = 0.5
@@ -58,16 +59,16 @@ class NetworkSettings:
     """Radians by which the crops of test-time augmentation are turned; the picture and its mirror image have
     each"""
     mean_bone: float = 0.0385
-    """Metres; mean length of the 20 bones between an average hand's keypoints"""
+    """Mean length in metres of the 20 bones between an average hand's keypoints"""
     presence_bias_2020: float = 2.5
-    """Logit by which the landmark network of December 2020 gives a higher presence than the present one, for
-    the hands in twenty photos of people and for what are none"""
+    """Difference in logits by which the landmark network of December 2020 gives a higher presence than the
+    present one, measured on the hands in twenty photos of people and on false candidates"""
     max_threads: int = 4
-    """Each has networks of its own: some 30 MB"""
+    """Most threads that run networks; each has networks of its own, which take some 30 MB"""
 
     @property
     def augmentation_crops(self) -> int:
-        """Crops of test-time augmentation."""
+        """How many crops of a hand test-time augmentation predicts: each turn, plain and mirrored."""
         return 2 * len(self.augmentation_turns)
 
 
@@ -83,20 +84,21 @@ class Palms:
     """N palms in pixels of the picture, by falling score."""
 
     score: np.ndarray
-    """(N,) 0..1"""
+    """(N,) score of each palm, 0..1"""
     centre: np.ndarray
-    """(N, 2) of their boxes"""
+    """(N, 2) pixels: the centre of each palm's box"""
     side: np.ndarray
-    """(N,) longer sides of their boxes"""
+    """(N,) pixels: the longer side of each palm's box"""
     points: np.ndarray
-    """(N, 7, 2): wrist, knuckles of index, middle, ring and little, thumb's two"""
+    """(N, 7, 2) pixels: wrist, knuckles of index, middle, ring and little finger, and two of the thumb"""
 
     def __len__(self) -> int:
         return len(self.score)
 
     @classmethod
     def suppressed(cls, parts: Sequence[Palms]) -> Palms:
-        """Non-maximum suppression: the palms of several crops, each once, with its best score."""
+        """Suppress non-maxima: join the palms of several crops, keeping each palm once, with its best
+        score."""
         whole = [np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__]
         order = np.argsort(-whole[0], kind="stable")
         score, centre, side, points = (array[order] for array in whole)
@@ -109,11 +111,11 @@ class Palms:
         return cls(score[kept], centre[kept], side[kept], points[kept])
 
     def scaled(self, factor: float) -> Palms:
-        """Palms in a picture that is larger by this factor."""
+        """Return the palms as they lie in a picture that is larger by this factor."""
         return Palms(self.score, self.centre * factor, self.side * factor, self.points * factor)
 
     def is_of(self, index: int, hand: Detections) -> bool:
-        """True if the palm detection lies on this hand's landmarks."""
+        """Return True if the palm with that index lies on this hand's landmarks."""
         # These landmarks are a palm's points.
         off = self.points[index] - hand.keypoints_2d[0, [0, 5, 9, 13, 17, 1, 2]]
         return float(np.linalg.norm(off, axis=-1).mean()) < NETWORK.palm_of_hand_distance * float(
@@ -121,7 +123,7 @@ class Palms:
         )
 
     def crop(self, index: int) -> Crop:
-        """The crop in which the landmark network predicts that palm's hand."""
+        """Return the crop in which the landmark network predicts the hand of the palm with that index."""
         points, side = self.points[index], float(self.side[index])
         up = _unit(points[2] - points[0])
         centre = self.centre[index] + NETWORK.palm_crop_shift * side * up
@@ -131,7 +133,8 @@ class Palms:
 
 
 def crop_around(keypoints: np.ndarray) -> Crop:
-    """The crop in which the landmark network finds landmarks (21, 2 or more) again."""
+    """Return the crop in which the landmark network finds a hand again, around its landmarks (21, 2 or more),
+    pixels."""
     # All but the outer landmarks of the fingers
     points = keypoints[[0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18], :2]
     knuckles = (keypoints[5, :2] + keypoints[13, :2]) / 2.0
@@ -148,7 +151,8 @@ def crop_around(keypoints: np.ndarray) -> Crop:
 
 
 def square_around(keypoints: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Centre (2,) and side in pixels, and turn in radians, of the crop around landmarks (21, 2 or more)."""
+    """Return the square of the crop around landmarks (21, 2 or more), pixels: its centre (2,) and side in
+    pixels, and its turn in radians."""
     upright = crop_around(keypoints)
     centre = upright.inverse @ (NETWORK.hand_input_px / 2.0 - upright.offset)
     turn = float(np.arctan2(upright.linear[1, 0], upright.linear[0, 0]))
@@ -156,7 +160,8 @@ def square_around(keypoints: np.ndarray) -> tuple[np.ndarray, float, float]:
 
 
 def augmented_crops(keypoints: np.ndarray) -> Iterator[Crop]:
-    """The crops of test-time augmentation around landmarks (21, 2 or more): three turns, then mirrored."""
+    """Yield the crops of test-time augmentation around landmarks (21, 2 or more), pixels: three turns, then
+    the three mirrored."""
     centre, span, turn = square_around(keypoints)
     for mirrored, upright in ((False, turn), (True, -turn)):
         for more in NETWORK.augmentation_turns:
@@ -169,7 +174,7 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 
 
 def turn_upright(up: np.ndarray) -> float:
-    """Radians, clockwise as seen, that turn a direction (2,) upwards."""
+    """Return the angle in radians, clockwise as seen, that turns a direction (2,) upwards."""
     return -float(np.arctan2(up[0], -up[1]))
 
 
@@ -197,7 +202,8 @@ class Runner:
         self._open.close()
 
     def _load(self, path: Path, *members: str) -> list[Any]:
-        """The networks of these names in a zip, or of a file that is one. Raises LandmarkModelError."""
+        """Load networks by their names in a zip, or one from a file that is itself a network. Raises
+        LandmarkModelError where that fails."""
         vision = self._mp.tasks.vision
         try:
             if members:
@@ -234,15 +240,16 @@ class Networks(Runner):
         super().__init__()
         self.quality: Quality = quality
         self.threads = min(usable_threads(), NETWORK.max_threads)
-        """How many run the networks on several crops of a picture"""
+        """How many threads run the networks on several crops of a picture"""
         self._landmark_model = landmark_model
         self._rendered: tuple[np.ndarray, Crop, np.ndarray] | None = None
-        """The last picture, its crop and the crop's pixels, which both landmark networks see"""
+        """The last picture, its crop and the crop's pixels, kept because both landmark networks see the same
+        crop"""
         self._pool: ThreadPoolExecutor | None = None
         self._background: ThreadPoolExecutor | None = None
         """Looks for palms in a live picture while hands are followed into it"""
         self._idle: SimpleQueue[Networks | None] = SimpleQueue()
-        """Networks for the pool's threads; None: such as are not loaded yet"""
+        """Networks that the pool's threads take and return; None stands for ones that are not loaded yet"""
         self._palms, self._hand = self._load(path, *(name for name, _ in TASK.entries))
         second = landmarks_2020_path()
         (self._hand_2020,) = [None] if second is None else self._load(second)
@@ -274,7 +281,7 @@ class Networks(Runner):
         yield from in_pool(self._pool, lambda item: self._call(function, item), items, 2 * self.threads)
 
     def _call(self, function: Callable[[Networks, Item], Result], item: Item) -> Result:
-        """Call a function with networks that no other thread uses."""
+        """Call a function with an item and with networks that no other thread uses meanwhile."""
         networks = self._idle.get() or Networks(self._landmark_model, quality=self.quality)
         try:
             return function(networks, item)
@@ -287,8 +294,8 @@ class Networks(Runner):
         return self.quality == "draft" and self._hand_2020 is not None
 
     def detect_palms(self, rgb: np.ndarray, crop: Crop, min_score: float) -> Palms:
-        """The palms in a crop, `palm_input_px` wide, of a picture (H, W, 3) uint8 RGB, before non-maximum
-        suppression."""
+        """Return the palms in a crop, `palm_input_px` wide, of a picture (H, W, 3) uint8 RGB, before
+        non-maximum suppression."""
         boxes, logits = self._run(self._palms, crop.render(rgb))
         chosen = np.flatnonzero(logits >= np.log(min_score / (1.0 - min_score)))
         chosen = chosen[np.argsort(-logits[chosen], kind="stable")]
@@ -334,7 +341,7 @@ class Networks(Runner):
 
     @property
     def take_turns(self) -> bool:
-        """True if both landmark networks follow the hands of a clip in turn."""
+        """True if the two landmark networks take turns in following the hands of a clip."""
         return self.quality == "standard" and self._hand_2020 is not None
 
     def with_keypoints_2020(self, rgb: np.ndarray, hand: Detections) -> Detections:
@@ -347,7 +354,8 @@ class Networks(Runner):
         return replace(hand, keypoints_2020=crop.points_to_picture(points)[None])
 
     def submit(self, function: Callable[[], Result]) -> Future[Result]:
-        """Call a function in a background thread, one call after another; at once where `threads` is 1."""
+        """Call a function in a background thread, after those submitted before; at once, in this thread,
+        where `threads` is 1."""
         if self.threads < 2:
             done: Future[Result] = Future()
             done.set_result(function())
@@ -357,13 +365,14 @@ class Networks(Runner):
 
 
 def average_sized(keypoints: np.ndarray) -> np.ndarray:
-    """(21, 3) metres: keypoints (21, 3) about their mean, at the size of an average hand."""
+    """Return (21, 3) metres: keypoints (21, 3) about their mean, scaled to the size of an average hand."""
     bones = np.linalg.norm(keypoints[1:] - keypoints[list(KEYPOINT_PARENTS[1:])], axis=-1)
     return (keypoints - keypoints.mean(axis=0)) * (NETWORK.mean_bone / max(float(bones.mean()), 1e-9))
 
 
 def _with_depth(landmarks: np.ndarray) -> np.ndarray:
-    """(63,) output of a landmark network -> (21, 3) pixels of its crop, depth on the scale of x."""
+    """Turn the output (63,) of a landmark network into (21, 3) pixels of its crop, with depth on the scale of
+    x."""
     keypoints = landmarks.reshape(NUM_KEYPOINTS, 3).astype(np.float64)
     keypoints[:, 2] /= NETWORK.depth_scale
     return keypoints
@@ -380,8 +389,8 @@ def _drop_import_tracebacks() -> None:
 
 @lru_cache
 def anchors(grids: tuple[tuple[int, int], ...] = ((24, 2), (12, 6))) -> np.ndarray:
-    """(A, 2) anchors of a detector in sides of the crop: of each grid, places a side and anchors at each; the
-    palm network's where none are given."""
+    """Return (A, 2) the anchors of a detector, in sides of the crop. Each grid is given as its places along a
+    side and the anchors at each place; the default is the palm network's grids."""
     places = []
     for count, each in grids:
         middles = (np.arange(count) + 0.5) / count

@@ -1,4 +1,4 @@
-"""Detection in one frame and in its regions, the boxes in which a person sees hands."""
+"""Detection of the hands in one frame, and in its regions: the boxes in which a person sees hands."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ log = logging.getLogger("handfit")
 
 
 def detect_frame(detector: Detector, frame: Frame, regions: Sequence[Region], *, first: bool) -> Detections:
-    """Detect the hands of the next frame and of the regions that name it; regions without a frame number are
-    those of the `first` one."""
+    """Detect the hands of the next frame and of the regions that name it; regions without a frame number
+    belong to the `first` frame."""
     found = detector.find(frame.rgb, frame.time)
     for region in regions:
         if region.frame == frame.number or (first and region.frame is None):
@@ -27,8 +27,8 @@ def detect_frame(detector: Detector, frame: Frame, regions: Sequence[Region], *,
 def detect_region(
     detector: Detector, rgb: np.ndarray | None, region: Region, known: Iterable[Detections] = ()
 ) -> Detections:
-    """The hand of a region of the picture that `find` was given last, as `Detector.detect_in_box` finds it;
-    no row and a warning where there is none."""
+    """Return the hand of a region of the picture that `find` was given last, as `Detector.detect_in_box`
+    finds it; `Detections` without a row, and a warning, where there is none."""
     box = (region.x, region.y, region.width, region.height)
     hand = None if rgb is None else detector.detect_in_box(rgb, box, region.side, known)
     if hand is None:

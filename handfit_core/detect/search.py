@@ -1,6 +1,6 @@
-"""Every hand of a picture: palms are detected at low scores in the whole picture and in tiles of it, the
-landmark network is run on each until it finds the hand again where it was, and test-time augmentation
-decides."""
+"""The search for every hand of a picture: palms are detected at low scores in the whole picture and in tiles
+of it, the landmark network is run on each until it finds the hand again where it was, and test-time
+augmentation decides."""
 
 from __future__ import annotations
 
@@ -29,37 +29,40 @@ class SearchSettings:
     """Thresholds and crops of the search. Presences, scores and probabilities are 0..1, turns radians."""
 
     min_palm_score: float = 0.07
-    """Of palms on which the landmark network is run: far lower than what is believed"""
+    """Score of the palms on which the landmark network is run: far lower than that of a palm which is
+    believed"""
     plain_min_palm_score: float = 0.5
-    """In place of `min_palm_score` in a plain search"""
+    """Score of the palms on which the landmark network is run in a plain search, in place of
+    `min_palm_score`"""
 
     max_passes: int = 3
-    """Predictions, each in the crop around the landmarks of the one before"""
+    """Most predictions for one candidate, each in the crop around the landmarks of the prediction before"""
     min_first_presence: float = 0.02
     """Presence of the first prediction below which there is no second one"""
     min_presence: float = 0.1
     """Presence of the last prediction below which there is no hand"""
     converged_distance: float = 0.05
-    """Hand sizes; landmarks that a pass moves less than this need no other pass"""
+    """Distance in hand sizes; landmarks that a pass moves less than this need no other pass"""
     converged_presence: float = 0.9
-    """Presence that both of these predictions must exceed"""
+    """Presence that the last two predictions must both exceed for the landmarks to need no other pass"""
 
     early_crops: int = 3
     """Crops of test-time augmentation after which unlikely candidates are given up"""
     min_early_probability: float = 0.06
-    """Probability that a candidate must have by then"""
+    """Probability that a candidate must have after `early_crops` crops, or else is given up"""
 
     tile_divisors: tuple[int, ...] = (1, 2, 3)
-    """Tiles are so many times smaller than the picture, and overlap by half"""
+    """How many times smaller than the picture's side a tile's side is, for each set of tiles; tiles overlap
+    by half"""
     min_tile_px: int = 96
-    """Side of a tile"""
+    """Least side of a tile, in pixels"""
     tile_to_smallest_hand: float = 8.0
     """Side of a tile in sizes of the smallest hand that the palm network finds in it"""
     max_size_ratio: float = 2.5
-    """Largest to smallest hand that are expected in one picture"""
+    """Largest ratio of sizes that is expected between the largest and the smallest hand of one picture"""
     max_palm_search_px: int = 1152
-    """Side of the picture in which palms are searched; larger ones are downscaled. Tiles of a third need no
-    more"""
+    """Longest side in pixels of the picture in which palms are searched; larger ones are downscaled. Tiles of
+    a third need no more"""
     whole_picture_crops: tuple[tuple[float, float, bool], ...] = (
         (1.0, 0.0, False),
         (1.5, 0.0, False),
@@ -70,65 +73,74 @@ class SearchSettings:
         (2.2, 0.0, False),
         (2.2, np.pi, False),
     )
-    """Side in units of the picture's longer one, turn, mirrored. Hands that fill the picture need room around
-    them, and the palm network finds some directions better than others"""
+    """Crops of the whole picture: side in units of the picture's longer one, turn in radians, and True for a
+    mirrored one. Hands that fill the picture need room around them, and the palm network finds some
+    directions better than others"""
 
     neighbour_span: float = 8.0
-    """Hand sizes; side of the crops about a hand in which another one of its size shows best"""
+    """Side, in hand sizes, of the crops about a hand in which another one of its size shows best"""
     neighbour_turns: tuple[float, ...] = (0.0, 0.75 * np.pi)
-    """Of these crops"""
+    """Turns, in radians, of the crops about a hand in which another one is searched"""
     max_neighbour_searches: int = 4
-    """Hands about which others are searched"""
+    """Most hands of a picture about which other hands are searched"""
 
     missed_probability: tuple[float, float] = (0.3, 0.18)
-    """Of a candidate beside an even and an odd number of hands, or tangled with one, that makes another hand
-    likely. Hands come in pairs, and around single ones there are no such candidates"""
+    """Probability from which a candidate that was not taken for a hand makes another hand likely: beside an
+    even number of hands, and beside an odd one; candidates that are tangled with a hand count, too. Hands
+    come in pairs, and around single ones there are no such candidates"""
     missed_palm_score: float = 0.5
-    """Of a palm beside an odd number of hands that makes another hand likely"""
+    """Score of a palm beside an odd number of hands from which another hand is likely"""
     missed_palm_distance: tuple[float, float] = (0.8, 6.0)
-    """Hand sizes between such a palm and the nearest hand"""
+    """Least and greatest distance between the palm of `missed_palm_score` and the nearest hand, in hand
+    sizes"""
     missed_palm_size: tuple[float, float] = (0.5, 1.5)
-    """Side of its box in sizes of that hand"""
+    """Least and greatest side of that palm's box, in sizes of the nearest hand"""
 
     same_candidate_distance: float = 0.15
-    """Hand sizes; predictions nearer than this are of one candidate"""
+    """Distance in hand sizes below which two predictions are of one candidate"""
     doubtful_probability: tuple[float, float] = (0.1, 0.85)
-    """Candidates of a probability between these are verified by rotation recall and context score"""
+    """Least and greatest probability of the candidates that are verified by rotation recall and context
+    score"""
     probability_weights: tuple[float, float, float] = (0.95, 0.75, -1.3)
-    """Logit of a candidate's probability: weights of the logits of presence and palm score, and a constant.
-    In photos of people and in rendered pictures, at a probability of a half one hand of twenty is false"""
+    """Weights in the logit of a candidate's probability: of the logits of presence and palm score, and a
+    constant. In photos of people and in rendered pictures, at a probability of a half one hand of twenty is
+    false"""
     verified_weights: tuple[float, float, float] = (1.4, 0.75, -0.8)
-    """In place of `probability_weights` for a verified candidate. These and the next two were chosen on 150
-    doubtful ones of rendered pictures and photos"""
+    """Weights in place of `probability_weights` for a verified candidate. They and the next two weights were
+    chosen on 150 doubtful candidates of rendered pictures and photos"""
     recall_weight: float = 2.0
-    """Of the rotation recall in a verified candidate's logit"""
+    """Weight of the rotation recall in a verified candidate's logit"""
     context_weight: float = 0.3
-    """Of the logit of the context score in a verified candidate's logit"""
+    """Weight of the logit of the context score in a verified candidate's logit"""
 
     rotations: int = 12
-    """Evenly spread turns of the crops about a box that a person drew, and about a doubtful candidate"""
+    """Number of evenly spread turns of the crops about a box that a person drew, and about a doubtful
+    candidate"""
     recall_spans: tuple[float, ...] = (1.8,)
-    """Hand sizes; sides of the rotated crops about a candidate"""
+    """Sides of the rotated crops about a candidate, in hand sizes"""
     context_span: float = 7.0
-    """Hand sizes; side of the crops for the context score"""
+    """Side of the crops for the context score, in hand sizes"""
     context_turns: tuple[float, ...] = (0.6, -0.6)
-    """Of these crops against the hand, besides one as the hand and one as the picture is"""
+    """Turns, in radians against the hand, of the crops for the context score; besides these there is one crop
+    turned as the hand and one as the picture is"""
     context_min_palm_score: float = 0.01
-    """Score below which a palm in them counts as not detected"""
+    """Score below which a palm in the crops for the context score counts as not detected"""
 
     box_spans: tuple[float, ...] = (1.3, 1.8, 2.6)
-    """Sides of the rotated crops about a box, in units of its longer side"""
+    """Sides of the rotated crops about a person's box, in units of its longer side"""
     box_min_presence: float = 0.1
-    """Presence of a hand where a person says that there is one: the network need not be sure"""
+    """Least presence of a hand in a person's box: where somebody says that there is a hand, the network need
+    not be sure"""
     box_candidates: int = 4
-    """Hands found in the most of these crops, on which test-time augmentation is run"""
+    """How many of the hands that most crops of a box agree on are judged by test-time augmentation"""
     box_min_presence_beside: float = 0.5
-    """Presence of a second hand in a box in which a known one is found, too"""
+    """Least presence of a second hand in a box in which a known hand is found, too"""
     box_min_crops_beside: int = 3
-    """Crops that agree on it. Around single hands no more than two agree on what is none"""
+    """Least number of crops that must agree on a second hand in a box. Around single hands no more than two
+    agree on what is none"""
     box_better: float = 2.0
-    """What is found in the place of a known hand replaces it where presence times the crops that agree are so
-    many times as much"""
+    """How many times as much presence times agreeing crops must be for what is found in the place of a known
+    hand to replace it"""
 
 
 SEARCH: Final = SearchSettings()
@@ -136,26 +148,27 @@ SEARCH: Final = SearchSettings()
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """What may be a hand."""
+    """A detection that may be a hand, with what tells how likely it is one."""
 
     hand: Detections
     presence: float
-    """Mean presence over the predictions, 0..1"""
+    """Mean presence over the candidate's predictions, 0..1"""
     palm_score: float
-    """Best score of its palm, 0..1"""
+    """Best score of the candidate's palm, 0..1"""
     rotation_recall: float | None = None
-    """Share of the rotated crops about it in which it was found again; None: it was not verified"""
+    """Share, 0..1, of the rotated crops about the candidate in which it was found again; None: it was not
+    verified"""
     context_score: float = 0.0
-    """Best score of its palm in crops that show much around it, 0..1"""
+    """Best score of the candidate's palm in crops that show much around it, 0..1"""
 
     @property
     def likely_hand(self) -> Detections:
-        """The hand with its probability as its certainty."""
+        """The candidate's hand, with the candidate's probability as its certainty."""
         return replace(self.hand, certainty=np.array([self.probability]))
 
     @property
     def probability(self) -> float:
-        """Probability that it is a hand."""
+        """Probability, 0..1, that the candidate is a hand."""
         verified = self.rotation_recall is not None
         presence, palm_score, logit = SEARCH.verified_weights if verified else SEARCH.probability_weights
         logit += presence * _logit(self.presence) + palm_score * _logit(self.palm_score)
@@ -166,8 +179,8 @@ class Candidate:
 
 
 def tiles(width: int, height: int, divisor: int) -> Iterator[Crop]:
-    """Overlapping crops for the palm network that tile a picture of that size in pixels; their side is its
-    longer one over `divisor`."""
+    """Yield overlapping crops for the palm network that tile a picture of that size in pixels; the side of
+    each is the picture's longer side over `divisor`."""
     span = max(width, height) / divisor
     if divisor > 1 and span < SEARCH.min_tile_px:
         return
@@ -197,12 +210,12 @@ class Search:
         self.missed = False
         """True if the last search has left what may well be another hand"""
         self._palms: list[Palms] = []
-        """That it has looked at"""
+        """The palms that the last search has looked at"""
         self._rejected: list[Candidate] = []
-        """Candidates that share their place with a likelier one"""
+        """Candidates of the last search that share their place with a likelier one"""
 
     def detect_all(self, rgb: np.ndarray) -> list[Detections]:
-        """The hands of a picture, the likeliest first."""
+        """Return the hands of a picture, the likeliest first."""
         self._palms, self._rejected = [], []
         longest = max(rgb.shape[:2])
         block = max(1, longest // SEARCH.max_palm_search_px)
@@ -233,8 +246,8 @@ class Search:
         return [c.likely_hand for c in found if self._accepts(c)]
 
     def detect_new(self, rgb: np.ndarray, palms: Palms, known: Detections) -> list[Detections]:
-        """The hands of palms, without the known ones. A likely one has a single prediction, as tracked hands
-        have."""
+        """Return the hands that these palms belong to, without the `known` ones. A likely hand has a single
+        prediction, as tracked hands have."""
         self._palms, self._rejected = [], []
         sure = [Candidate(hand, 1.0, 1.0) for hand in known]
         found = self._extend(rgb, palms, sure, augment_all=False)
@@ -244,10 +257,13 @@ class Search:
     def detect_in_box(
         self, rgb: np.ndarray, box: Sequence[float], known: Sequence[Detections] = ()
     ) -> Detections | None:
-        """The hand that a person sees in a box (x, y, width, height), pixels, at whatever angle: the one that
-        most rotated crops agree on, among those that do not lie on `known` hands of the picture. Where there
-        is none of these, it is the known hand itself, or what is clearly better in its place. None where
-        there is no hand."""
+        """Return the hand that a person sees in a box (x, y, width, height), pixels, at whatever angle; None
+        where there is none.
+
+        It is the hand that most rotated crops agree on, among those that do not lie on `known` hands of the
+        picture. Where there is none of these, it is the known hand itself, or what is clearly better in its
+        place.
+        """
         corner, size = np.array(box[:2]), np.array(box[2:])
         middle, side = corner + size / 2.0, float(size.max())
         groups: list[list[Detections]] = []
@@ -277,14 +293,14 @@ class Search:
     def _best_of(
         self, rgb: np.ndarray, groups: Sequence[list[Detections]]
     ) -> tuple[Candidate | None, float, int]:
-        """The likeliest of groups of predictions that agree, the largest first, after test-time augmentation,
-        with its score and the size of its group; None and 0 where there are none."""
+        """Return the likeliest of groups of agreeing predictions, the largest group first, after test-time
+        augmentation, with its score and the size of its group; None and zeros where there is none."""
         augmented = [(self._augment(rgb, g[0], 0.5), len(g)) for g in groups[: SEARCH.box_candidates]]
         scored = [(c, c.presence * (1 + count), count) for c, count in augmented]
         return max(scored, key=lambda each: each[1], default=(None, 0.0, 0))
 
     def _note_missed(self, found: Sequence[Candidate]) -> None:
-        """Set `missed` from all candidates and palms of a search."""
+        """Set `missed` from all candidates and palms of the search."""
         accepted = [c for c in found if self._accepts(c)]
         hands = Detections.of([[c.hand for c in accepted]])
         least = SEARCH.missed_probability[len(hands) % 2]
@@ -298,8 +314,8 @@ class Search:
         return candidate.probability >= self._threshold
 
     def _verify(self, rgb: np.ndarray, found: Sequence[Candidate]) -> list[Candidate]:
-        """The candidates, the likeliest first, doubtful ones with recall and context; parts of likelier hands
-        are dropped."""
+        """Return the candidates, the likeliest first: doubtful ones get their rotation recall and context
+        score, and parts of likelier hands are dropped."""
         kept: list[Candidate] = []
         low, high = SEARCH.doubtful_probability
         for candidate in found:
@@ -313,8 +329,9 @@ class Search:
         return sorted(kept, key=lambda c: c.probability, reverse=True)
 
     def _neighbour_crops(self, hands: Sequence[Detections], longer: int) -> Iterator[Crop]:
-        """Crops about the first hands in which others of about their size would be seen, in a picture with
-        that longer side: the second hand of a pair often has a palm that no tile shows."""
+        """Yield crops about the first hands in which other hands of about their size would be seen, in a
+        picture whose longer side is `longer` pixels: the second hand of a pair often has a palm that no tile
+        shows."""
         begun: list[tuple[np.ndarray, float]] = []
         for hand in hands:
             centre, span = hand.centroid[0], SEARCH.neighbour_span * float(hand.extent[0])
@@ -326,7 +343,8 @@ class Search:
                     yield Crop.of_square(centre, span, NETWORK.palm_input_px, turn=turn)
 
     def _with_rotation_recall(self, rgb: np.ndarray, candidate: Candidate) -> Candidate:
-        """The candidate with its rotation recall, or with a bound of it that already rules the hand out."""
+        """Return the candidate with its rotation recall, or with an upper bound of it that already rules the
+        hand out."""
         hand, count = candidate.hand, 0
         middle, side = (hand.box_min[0] + hand.box_max[0]) / 2.0, float(hand.extent[0])
         rotated = self._predict_rotated(rgb, middle, side, SEARCH.recall_spans)
@@ -338,7 +356,8 @@ class Search:
         return replace(candidate, rotation_recall=count / SEARCH.rotations)
 
     def _context_score(self, rgb: np.ndarray, hand: Detections) -> float:
-        """Best score of a hand's palm in crops that show much around it; 0 where it is not detected."""
+        """Return the best score, 0..1, of a hand's palm in crops that show much around it; 0 where it is not
+        detected."""
         centre, _, upright = square_around(hand.keypoints[0])
         best = 0.0
         turns = (0.0, upright, *(upright + more for more in SEARCH.context_turns))
@@ -352,7 +371,8 @@ class Search:
     def _predict_rotated(
         self, rgb: np.ndarray, middle: np.ndarray, side: float, spans: Sequence[float]
     ) -> Iterator[Detections | None]:
-        """The refined predictions for crops of all rotations about a box with that middle and longer side."""
+        """Yield the refined predictions for crops of all rotations about a box with that middle (2,) and
+        longer side, pixels; None for a crop without a hand."""
         turns = np.arange(SEARCH.rotations) * (2.0 * np.pi / SEARCH.rotations)
         crops = [
             Crop.of_square(middle, span * side, NETWORK.hand_input_px, turn=t)
@@ -362,14 +382,14 @@ class Search:
         return self._networks.map(lambda n, crop: refine(n, rgb, crop, SEARCH.box_min_presence), crops)
 
     def detect_palms(self, rgb: np.ndarray, crops: Sequence[Crop]) -> Palms:
-        """The palms in these crops, `palm_input_px` wide, after non-maximum suppression."""
+        """Return the palms in these crops, each `palm_input_px` wide, after non-maximum suppression."""
         found = self._networks.map(lambda n, crop: n.detect_palms(rgb, crop, self._min_palm_score), crops)
         return Palms.suppressed(list(found))
 
     def _extend(
         self, rgb: np.ndarray, palms: Palms, known: Sequence[Candidate], *, augment_all: bool = True
     ) -> list[Candidate]:
-        """The known candidates and the hands of those palms after non-maximum suppression, the likeliest
+        """Return the known candidates and the hands of new palms after non-maximum suppression, the likeliest
         first. Unless `augment_all`, likely ones have one prediction only."""
         found = list(known)
         self._palms.append(palms)
@@ -404,7 +424,8 @@ class Search:
         return [found[row] for row in kept]
 
     def _augment(self, rgb: np.ndarray, first: Detections, palm_score: float) -> Candidate:
-        """The mean of test-time augmentation about a prediction; unlikely ones are given up early."""
+        """Average the test-time augmentation about a prediction into a candidate; unlikely ones are given up
+        early."""
         predictions, candidate = [first], Candidate(first, float(first.certainty[0]), palm_score)
         crops = list(islice(augmented_crops(first.keypoints[0]), 1, self._crop_count))
         for prediction in self._networks.map(lambda n, crop: n.predict(rgb, crop), crops):
@@ -419,8 +440,8 @@ class Search:
 def refine(
     networks: Networks, rgb: np.ndarray, crop: Crop, min_presence: float = SEARCH.min_presence
 ) -> Detections | None:
-    """Predict in a crop and then in the crops around the landmarks found, until these stay where they are.
-    None where there is no hand."""
+    """Predict a hand in a crop, and then in the crops around the landmarks found, until these stay where they
+    are; return None where there is no hand."""
     prediction = networks.predict(rgb, crop)
     for _ in range(SEARCH.max_passes - 1):
         if prediction.certainty[0] < SEARCH.min_first_presence:
@@ -444,12 +465,12 @@ def _is_beside(palms: Palms, hands: Detections) -> bool:
 
 
 def _is_same(a: Detections, b: Detections) -> bool:
-    """True if two predictions are of one candidate."""
+    """Return True if two predictions are so near each other that they are of one candidate."""
     return bool(distance(a, b) < SEARCH.same_candidate_distance)
 
 
 def _fits_box(hand: Detections, middle: np.ndarray, size: np.ndarray) -> bool:
-    """True if a hand lies in a box with that middle and size, and is about as large."""
+    """Return True if a hand lies in a box with that middle and size, pixels, and is about as large."""
     off, longer = np.abs((hand.box_min[0] + hand.box_max[0]) / 2.0 - middle), float(size.max())
     return bool((off < size / 2.0 + 0.1 * longer).all()) and 0.45 < hand.extent[0] / longer < 2.0
 

@@ -17,7 +17,7 @@ from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
 
 MAX_THREADS: Final = 8
-"""Threads unless more are asked for: each decodes the video for itself, and more would do little else"""
+"""Most threads unless more are asked for: each decodes the video for itself, and more would do little else"""
 
 
 def detect_chunks(
@@ -27,8 +27,9 @@ def detect_chunks(
     on_progress: Callable[[int], None],
     should_stop: Callable[[], bool],
 ) -> list[Part]:
-    """Detect all chunks of a clip in so many threads, None: as `thread_count` says; `another` makes a
-    detector for a thread, of the clip opened once more. The number of threads changes no result.
+    """Detect all chunks of a clip in so many threads, by default as many as `thread_count` says. `another`
+    makes a detector for a further thread, of the clip opened once more. The number of threads changes no
+    result.
 
     `on_progress` gets the count of the frames that are done. Where it is stopped, the chunks before the first
     gap are returned.
@@ -56,7 +57,7 @@ def _in_threads(
     indices = itertools.count()
     found: dict[int, Part] = {}
     ended = Event()
-    """Set where the clip's end was seen, or at a stop"""
+    """Set once a thread has seen the clip's end, or was stopped"""
     stopped = Event()
     events: SimpleQueue[Future[None] | None] = SimpleQueue()
     """None for each frame that is done, and each thread's future once it has ended"""
@@ -108,7 +109,7 @@ def _reopened(media: Media) -> Media:
 
 
 def thread_count(asked: int | None, frames: int) -> int:
-    """How many threads detect a clip of that many frames (0: unknown): as asked, or one a core, but no more
-    than there are chunks."""
+    """Return how many threads detect a clip of that many frames (0: unknown): as many as asked for, or one a
+    core, but no more than there are chunks."""
     wanted = min(usable_threads(), MAX_THREADS) if asked is None else asked
     return max(1, min(wanted, -(-frames // MEDIA.chunk_frames)) if frames else wanted)

@@ -23,7 +23,7 @@ class Thumbnail:
         return cls(rgb[top::step, left::step].copy())
 
     def is_cut_from(self, before: Thumbnail) -> bool:
-        """True if there is a shot boundary between the picture before and this one."""
+        """Return True if there is a shot boundary between the earlier picture `before` and this one."""
         here, there = (each.pixels.astype(np.float64) for each in (self, before))
         # Mean absolute difference of two thumbnails, of 255, from which on there may be a cut between them
         if np.abs(here - there).mean() < 20.0:

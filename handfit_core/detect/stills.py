@@ -32,16 +32,16 @@ class StillFinder(Detector):
 
     @property
     def most_seen(self) -> int:
-        """The most hands of any picture so far."""
+        """The most hands that were seen in any picture so far."""
         return max(self._counts)
 
     @property
     def missed(self) -> bool:
-        """True if another hand is likely in the last picture."""
+        """True if the last picture likely shows another hand beside those that were found."""
         return self._search.missed
 
     def find(self, rgb: np.ndarray | None, time: float = 0.0) -> Detections:  # noqa: ARG002
-        """The hands of a picture (see `Detector`), the likeliest first, with their sides judged."""
+        """Return the hands of a picture (see `Detector`), the likeliest first, with their sides judged."""
         self._last = Detections.of([[] if rgb is None else self._search.detect_all(rgb)])
         self._counts.append(len(self._last))
         wanted = self._last.select(slice(self._max_hands))
@@ -55,7 +55,8 @@ class StillFinder(Detector):
         side: Side | None = None,
         known: Iterable[Detections] = (),
     ) -> Detections | None:
-        """The hand in a box of the last picture (see `Detector`), with its side judged."""
+        """Return the hand in a box of the last picture (see `Detector`), with its side judged; None where
+        there is none."""
         known = [*self._last, *known]
         hand = hand_of_box(known, box) or self._search.detect_in_box(rgb, box, known)
         if hand is None:

@@ -1,4 +1,5 @@
-"""Metadata for TensorFlow Lite's model files, added without TensorFlow's own tools, and outputs left out.
+"""Metadata for TensorFlow Lite's model files, added without TensorFlow's own tools, and the removal of
+outputs.
 
 A model file is a FlatBuffer (https://flatbuffers.dev/internals): tables refer to objects behind them by
 offsets in bytes. So a new root table with the metadata goes before the old file, which stays as it is.
@@ -12,18 +13,18 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 Writer = Callable[[bytearray], int]
-"""Appends an object to a buffer, or finds it there; returns its offset"""
+"""Function that appends an object to a buffer, or finds it there, and returns its offset in bytes"""
 Field = int | Writer | None
 """A table's field: a number, the object that it refers to, or absent"""
 
 _PREFIX_BYTES: Final = 4096
-"""Before the old file: a multiple of the 16 to which tensors are aligned"""
+"""Bytes that are put before the old file: a multiple of the 16 to which tensors are aligned"""
 _SUBGRAPHS, _BUFFERS, _METADATA, _MODEL_FIELDS = 2, 4, 6, 7
-"""Fields of the root table, and how many are copied"""
+"""Numbers of fields of the root table, and how many of its fields are copied"""
 _OUTPUTS, _OPERATORS, _SUBGRAPH_FIELDS = 2, 3, 5
-"""Fields of a subgraph's table, and how many are copied"""
+"""Numbers of fields of a subgraph's table, and how many of its fields are copied"""
 _OPERATOR_INPUTS, _OPERATOR_OUTPUTS = 1, 2
-"""Fields of an operator's table"""
+"""Numbers of fields of an operator's table"""
 _FEATURE, _IMAGE, _NORMALIZATION, _RGB = 1, 2, 1, 1
 """Values of the metadata's unions and of its colour space"""
 
@@ -58,7 +59,8 @@ def with_image_metadata(
 
 
 def _pruned(network: bytes, root: int, kept: Sequence[int]) -> Writer:
-    """The table of the only subgraph, with the outputs of these indices and the operators that they need."""
+    """Make the table of the only subgraph, with the outputs of the indices `kept` and the operators that they
+    need."""
     (graph,) = _referred(network, root, _SUBGRAPHS)
     outputs = _numbers(network, graph, _OUTPUTS)
     wanted = {outputs[i] for i in kept}
@@ -76,7 +78,8 @@ def _pruned(network: bytes, root: int, kept: Sequence[int]) -> Writer:
 
 
 def _numbers(data: bytes, table: int, field: int) -> list[int]:
-    """A table's vector of whole numbers; empty where it is absent."""
+    """Return the whole numbers in the vector that a table's field refers to; empty where the field is
+    absent."""
     if (at := _field(data, table, field)) is None:
         return []
     at += _number(data, at)
@@ -84,7 +87,7 @@ def _numbers(data: bytes, table: int, field: int) -> list[int]:
 
 
 def _referred(data: bytes, table: int, field: int) -> list[int]:
-    """The offsets of the tables in a table's vector."""
+    """Return the offsets, in bytes, of the tables in the vector that a table's field refers to."""
     at = _field(data, table, field)
     assert at is not None
     at += _number(data, at) + 4
@@ -105,7 +108,7 @@ def _number(data: bytes, at: int) -> int:
 
 
 def _field(data: bytes, table: int, index: int) -> int | None:
-    """Offset of a table's field; None where it is absent."""
+    """Return the offset in bytes of a table's field; None where it is absent."""
     entries = table - struct.unpack_from("<i", data, table)[0]
     size = struct.unpack_from("<H", data, entries)[0]
     inside = 4 + 2 * index
@@ -148,8 +151,8 @@ def _references(out: bytearray, fields: Sequence[Field], before: bytes = b"", be
 
 
 def _bytes(content: bytes, counted: int | None = None) -> Writer:
-    """A vector of bytes, aligned to 16 as tensors are; `counted` is its length where the last do not
-    count."""
+    """Make a writer of a vector of bytes, aligned to 16 as tensors are; `counted` is the length that it
+    states, where the last bytes do not count."""
 
     def append(out: bytearray) -> int:
         out += bytes(-(len(out) + 4) % 16)

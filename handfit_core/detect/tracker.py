@@ -1,5 +1,5 @@
-"""What is followed from frame to frame, hands and bodies alike: where it is expected, found again, lost,
-searched for, given up.
+"""Following hands and bodies from frame to frame: where they are expected, found again, lost, searched for
+and given up.
 
 Clips (`clips.py`), live hands (`capturing/live/streaming.py`) and bodies (`bodies.py`) are followed with it,
 each at intervals of its own.
@@ -27,14 +27,14 @@ class TrackerSettings:
     """Thresholds of following hands. Distances are in hand sizes."""
 
     max_shift: float = 0.15
-    """A hand that is found farther than this from where it was expected lies at the crop's edge, and is
-    predicted once more"""
+    """Farthest that a hand may be found from where it was expected; beyond, it lies at the crop's edge, and
+    is predicted once more"""
     min_speed: float = 0.1
-    """Per frame, beyond which a hand is expected where it is going. Slower ones are expected where they were,
-    since a guess would only make them tremble"""
+    """Speed, in hand sizes per frame, beyond which a hand is expected where it is going. Slower ones are
+    expected where they were, since a guess would only make them tremble"""
     max_disagreement: float = 0.2
-    """Mean lengths of bones; where the two landmark networks' points are farther apart than this in the
-    picture, the mirrored crop is predicted, too. Of clear hands, hardly any differ by more than 0.14"""
+    """Disagreement of the two landmark networks' points in the picture, in mean lengths of bones, beyond
+    which the mirrored crop is predicted, too. Of clear hands, hardly any differ by more than 0.14"""
 
 
 TRACKER: Final = TrackerSettings()
@@ -45,18 +45,19 @@ class Tracked:
     """A hand or a body that was found, and what is known of its motion."""
 
     points: np.ndarray
-    """(K, 2) pixels where it was found last, about which the next crop is laid"""
+    """(K, 2) pixels: the points at which it was found last, about which the next crop is laid"""
     min_presence: float
-    """Presence below which it is lost"""
+    """Presence, 0..1, below which it counts as lost"""
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    """(2,) pixels per frame"""
+    """(2,) pixels per frame by which it moved last"""
     misses: int = 0
-    """Searches that failed since a hand was lost; frames since a hand was at a body's wrists"""
+    """For a hand, the searches that failed since it was lost; for a body, the frames since a hand was at its
+    wrists"""
     wait: int = 0
-    """Frames until the next search"""
+    """Frames until the next search for it"""
 
     def found(self, points: np.ndarray) -> None:
-        """Take in where it is in the next frame."""
+        """Take in the points (K, 2), pixels, at which it was found in the next frame."""
         self.velocity = points.mean(axis=0) - self.points.mean(axis=0)
         self.points = points
 
@@ -68,13 +69,13 @@ class Tracked:
         return self.points + moving * self.velocity
 
     def search_is_due(self) -> bool:
-        """Count a frame in which it is lost; True if it is to be searched for in this one."""
+        """Count a frame in which it is lost; return True if it is to be searched for in this frame."""
         due = self.wait == 0
         self.wait -= not due
         return due
 
     def missed(self, most_wait: int) -> None:
-        """Count a failed search, and wait longer for the next one."""
+        """Count a failed search, and wait longer for the next one, at most `most_wait` frames."""
         self.velocity = np.zeros(2)
         self.misses += 1
         self.wait = min(2**self.misses - 1, most_wait)
@@ -82,28 +83,28 @@ class Tracked:
 
 @dataclass(eq=False)
 class TrackedHand(Tracked):
-    """A hand that is followed."""
+    """A hand that is followed through the frames of a shot."""
 
     last: Detections = field(kw_only=True)
-    """Where it was found last"""
+    """The detection with which the hand was found last"""
     occluded: bool = False
     """True if it was lost where another hand is"""
     differences: list[Difference] = field(default_factory=list)
-    """Of both landmark networks, in the frames in which both ran"""
+    """Differences of the two landmark networks on this hand, one for each frame in which both ran"""
     seen_alone: bool = False
     """True if the landmark network of December 2020 alone has seen `last`"""
     votes: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    """Of the last frames for each of `SIDES`, where a caller counts them"""
+    """(2,) votes of the last frames for each of `SIDES`, where a caller counts them"""
 
     @classmethod
     def of(cls, hand: Detections, threshold: float) -> TrackedHand:
-        """Begin to follow a hand that was found with that threshold of presence; one that a person has shown
-        needs less of it."""
+        """Begin to follow a hand that was found with a threshold of presence, 0..1; a hand that a person has
+        shown needs less presence to be kept."""
         min_presence = SEARCH.box_min_presence if hand.shown.all() else threshold
         return cls(hand.keypoints_2d[0], min_presence, last=hand)
 
     def update(self, hand: Detections) -> None:
-        """Take in its detection in the next frame."""
+        """Take in the hand's detection in the next frame."""
         self.found(hand.keypoints_2d[0])
         self.last = hand
 
@@ -113,30 +114,30 @@ class HandTracker:
 
     def __init__(self, networks: Networks, threshold: float, most: int | None) -> None:
         self.tracked: list[TrackedHand] = []
-        """The hands of the last frame"""
+        """The hands that were followed in the last frame"""
         self._networks, self._threshold, self._most = networks, threshold, most
 
     @property
     def full(self) -> bool:
-        """True if no more hands are wanted."""
+        """True if as many hands are followed as are wanted."""
         return self._most is not None and len(self.tracked) >= self._most
 
     @property
     def hands(self) -> Detections:
-        """The hands of the last frame."""
+        """The detections of the hands that were followed in the last frame."""
         return Detections.of([[tracked.last for tracked in self.tracked]])
 
     def is_known(self, hand: Detections) -> bool:
-        """True if a hand is one of those that are followed."""
+        """Return True if a hand is one of those that are followed already."""
         return bool(is_same_hand(hand, self.hands).any())
 
     def _is_near(self, tracked: TrackedHand, others: Sequence[TrackedHand]) -> bool:
-        """True if a hand touches another one, or crosses it."""
+        """Return True if a followed hand touches or crosses one of the others."""
         rest = [other.last for other in others if other is not tracked]
         return bool(rest) and bool((distance(tracked.last, Detections.of([rest])) < IN_TURN.near).any())
 
     def begin(self, hands: Iterable[Detections]) -> list[TrackedHand]:
-        """Begin to follow those of these hands that are wanted and new; returns them."""
+        """Begin to follow those of the given hands that are wanted and new; return their tracks."""
         begun = []
         for hand in hands:
             if not self.full and not self.is_known(hand):
@@ -151,8 +152,9 @@ class HandTracker:
         *,
         time: float | None = None,
     ) -> list[TrackedHand]:
-        """Find all hands in the next frame (H, W, 3) uint8 RGB; returns those that are lost, or not usable
-        there. With its `time` in seconds, both landmark networks take turns in quality `standard`."""
+        """Find all followed hands in the next frame (H, W, 3) uint8 RGB; return those that are lost, or not
+        usable there. With the frame's `time` in seconds, both landmark networks take turns in quality
+        `standard`."""
         self.tracked, before = [], self.tracked
         apart = [t for t in before if time is not None and not self._is_near(t, before)]
         hands = self._networks.map(
@@ -171,8 +173,9 @@ class HandTracker:
 def redetect(
     networks: Networks, rgb: np.ndarray, tracked: TrackedHand, time: float | None = None
 ) -> Detections | None:
-    """Predict a tracked hand where it is expected in the next frame, once more where it has moved away from
-    there. None where it is lost. With a `time` in seconds, the network of December 2020 may see it alone."""
+    """Predict a tracked hand where it is expected in the next frame (H, W, 3) uint8 RGB, once more where it
+    has moved away from there; return None where it is lost. With a `time` in seconds, the network of December
+    2020 may see it alone."""
     expected, tracked.seen_alone = tracked.expected(), False
     in_turn = time is not None and networks.take_turns
     crop = crop_around(expected)
@@ -209,7 +212,7 @@ def cross_check(networks: Networks, rgb: np.ndarray, hand: Detections, min_prese
 def _mean_with_crops(
     networks: Networks, rgb: np.ndarray, hand: Detections, crops: Sequence[Crop], min_presence: float
 ) -> Detections:
-    """The mean of a hand and its predictions in more crops, where these have enough presence."""
+    """Average a hand with its predictions in further crops, where these have at least `min_presence`."""
     more = [networks.predict(rgb, crop) for crop in crops]
     hands = [hand, *(other for other in more if other.certainty[0] >= min_presence)]
     return replace(mean_detection(Detections.of([hands])), shown=hand.shown) if len(hands) > 1 else hand
@@ -222,8 +225,8 @@ def extend_track(
     row: int,
     frames: list[tuple[Detections, ...]],
 ) -> bool:
-    """Follow a hand into the frame `row` with that picture, and add it to the frame's hands. False where it
-    is lost, or is one of them."""
+    """Follow a hand into the frame `row`, whose picture is `rgb`, and add it to the hands of that frame in
+    `frames`. Return False where it is lost, or is a hand that is there already."""
     hand = redetect(networks, rgb, tracked)
     if hand is None or overlaps(hand, Detections.of([frames[row]])):
         return False

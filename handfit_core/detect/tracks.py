@@ -1,8 +1,8 @@
-"""Linking detections to tracks: which detection of one frame is which hand of the frame before.
+"""Linking detections to tracks: which detection of one frame is of which hand of the frame before.
 
 A track's side is decided once, by the summed scores of all its detections, since single frames are wrong now
-and then. While tracks are made, each is the rows of its detections among those of the clip, in the order of
-frames.
+and then. While tracks are made, each is a list of rows, those of its detections among the clip's, in the
+order of frames.
 """
 
 from __future__ import annotations
@@ -25,34 +25,40 @@ class LinkingSettings:
     """Thresholds of linking detections to tracks. Distances are in hand sizes, gaps in frames."""
 
     duplicate_distance: float = 0.25
-    """Two detections of one frame nearer than this are of one hand"""
+    """Distance of two detections of one frame below which they are of one hand"""
     overlap_distance: float = 0.4
-    """Two tracks nearer than this in most of the frames that have both are of one hand, found twice"""
+    """Distance of two tracks, in most of the frames that have both, below which they are of one hand that was
+    found twice"""
     max_part_size: float = 0.75
-    """A hand less than this share of another's size may be a part of it: fingers taken for a hand"""
+    """Share of another hand's size below which a hand may be a part of that other: fingers taken for a
+    hand"""
     min_part_inside: float = 0.75
-    """Share of such a part's points that lie within the other's box, at least"""
+    """Least share of such a part's points that lie within the larger hand's box"""
     max_motion: float = 1.0
-    """What is farther than this from where a hand was expected is another hand"""
+    """Farthest that a hand may be found from where it was expected; what is farther is another hand"""
     gap_growth: float = 0.1
-    """What each frame without a detection adds to `max_motion`, as a share of it, in a short gap"""
+    """How much `max_motion` grows for each frame without a detection, as a share of it, in a short gap"""
     short_gap: int = 12
-    """After a longer gap a hand of the other side may well be another hand"""
+    """Most frames of a short gap; after a longer one a hand of the other side may well be another hand"""
     max_gap: int = 250
-    """For which a track waits for its hand; what turns up later is joined to it if it is of its side"""
+    """Most frames for which a track waits for its hand; what turns up later is joined to it if it is of its
+    side"""
     velocity_base: int = 3
-    """Detections back that a hand's velocity is taken over: two frames alone are mostly jitter"""
+    """Number of detections back over which a hand's velocity is taken: two frames alone are mostly jitter"""
     velocity_frames: int = 6
-    """For which a hand is expected to keep its velocity"""
+    """Frames for which a hand is expected to keep its velocity"""
     min_weight: float = 0.05
-    """Share of the surest track's summed score; a track with less is a false detection"""
+    """Share of the surest track's summed score below which a track is a false detection"""
     sure_side_share: float = 0.8
-    """A track whose side has less than this share of its summed score may be of the other side"""
+    """Share of its summed score that a track's side must have; with less the track may be of the other
+    side"""
     side_penalty: float = 0.3
-    """Added to the distance of a detection that names the other side, so that crossing hands keep theirs"""
+    """Distance that is added for a detection that names the other side, so that crossing hands keep their
+    sides"""
 
     def max_distance(self, gap: np.ndarray) -> np.ndarray:
-        """(N,) hand sizes that hands may be away from where they were expected after so many frames (N,)."""
+        """Return (N,) the hand sizes that hands may be away from where they were expected, after gaps of so
+        many frames (N,)."""
         return self.max_motion * (1.0 + self.gap_growth * (gap - 1) * (gap <= self.short_gap))
 
 
@@ -60,16 +66,16 @@ LINKING: Final = LinkingSettings()
 
 
 class _OpenTrack:
-    """A track while it is made. `hands` are the detections of the clip."""
+    """A track while it is made, of rows of `hands`, the detections of the clip."""
 
     def __init__(self, hands: Detections, rows: Iterable[int]) -> None:
         self.hands = hands
         self.rows: list[int] = []
-        """Of its detections among `hands`, in the order of frames"""
+        """Rows of the track's detections in `hands`, in the order of frames"""
         self.votes = np.zeros(2)
-        """Summed scores of each side, in the order of `SIDES`"""
+        """(2,) the summed scores of each side, in the order of `SIDES`"""
         self.given_side: Side | None = None
-        """The side that a person has given"""
+        """The side that a person has given the track; None: nobody has"""
         for row in rows:
             self.add(row)
 
@@ -88,30 +94,31 @@ class _OpenTrack:
 
     @property
     def side_share(self) -> float:
-        """Share of its side in its summed score."""
+        """Share, 0..1, of the track's side in its summed score."""
         return float(self.votes[SIDES.index(self.side)]) / self.weight
 
     @property
     def side_score(self) -> float:
-        """Mean score that its detections give to its side; infinite where a person has given it."""
+        """Mean score that the track's detections give to its side; infinite where a person has given that
+        side."""
         if self.given_side is not None:
             return np.inf
         return float(self.votes[SIDES.index(self.side)]) / len(self.rows)
 
     @property
     def shown(self) -> bool:
-        """True if a person has said that it is there."""
+        """True if a person has said that the hand is there."""
         return bool(self.hands.shown[self.rows].any())
 
     def add(self, row: int) -> None:
-        """Take the detection of a later frame."""
+        """Add the detection in that row, which is of a later frame."""
         self.rows.append(row)
         self.votes += self.hands.side_votes[row]
         given = self.hands.given_side[row]
         self.given_side = self.given_side or (SIDES[given] if given >= 0 else None)
 
     def merge(self, other: _OpenTrack) -> None:
-        """Take over another track's detections of frames that this one lacks."""
+        """Take over those detections of another track that are in frames which this one lacks."""
         more = np.array(other.rows)[~np.isin(other.frames, self.frames)]
         self.rows = sorted([*self.rows, *more.tolist()])
         self.votes = self.votes + other.votes
@@ -130,9 +137,9 @@ def link_tracks(
     """Link the detections of a clip's `frame_count` frames into at most `max_hands` tracks (None: all), the
     surest first.
 
-    `hands`: "auto" keeps whatever was seen, also two left hands; "left" and "right" keep hands of
-    that side only; "both" means one left and one right, and overrules the detector if it named
-    two hands alike. `fps` and `holes` are of the clip (see `Track`).
+    `hands`: "auto" keeps whatever was seen, also two left hands; "left" and "right" keep hands of that side
+    only; "both" means one left and one right, and overrules the detector if it named two hands alike. `fps`
+    (frames per second) and `holes` are of the clip (see `Track`).
 
     Raises NoHandFoundError when nothing (of that side) was seen.
     """
@@ -149,8 +156,8 @@ def link_and_count(
     *,
     only_shown: bool = False,
 ) -> tuple[tuple[Track, ...], int]:
-    """`link_tracks`, and among how many hands of the whole clip (of that side) it chose. `only_shown`: among
-    those that a person has said to be there."""
+    """Return the tracks of `link_tracks`, and the number of hands of the whole clip (of the wanted side)
+    among which it chose. With `only_shown`, it chooses among those that a person has said to be there."""
     merger = _Merger(detections, _link(detections, without_duplicates(detections)))
     merger.merge(_Merger.overlapping)
     surest = sorted(merger.tracks, key=lambda track: track.weight, reverse=True)
@@ -181,13 +188,13 @@ def link_and_count(
 
 
 def _sure(tracks: Sequence[_OpenTrack]) -> list[_OpenTrack]:
-    """The tracks that are no false detections."""
+    """Return the tracks that are no false detections."""
     most = max(t.weight for t in tracks)
     return [t for t in tracks if t.shown or t.weight >= LINKING.min_weight * most]
 
 
 def _with_overlaps(hands: Detections, track: _OpenTrack, tracks: Sequence[_OpenTrack]) -> Detections:
-    """The detections of a track, with `overlapped` set where points lie on a hand of another one."""
+    """Return the detections of a track, with `overlapped` set where points lie on a hand of another track."""
     others = np.array(sorted(row for each in tracks if each is not track for row in each.rows), dtype=int)
     margin = 1.001 * MATCHING.bone_radius * hands.extent[:, None]
     low, high = hands.box_min - margin, hands.box_max + margin
@@ -227,9 +234,9 @@ def _choose(
 
 
 def _of_doubtful_side(first: _OpenTrack, second: _OpenTrack) -> _OpenTrack | None:
-    """The track that is most likely of the other side: of two hands of one side that touch, as a person's
-    left and right one do, the one whose side is in doubt. None where neither is, as where two people shake
-    hands."""
+    """Return the track that is most likely of the other side: of two hands of one side that touch, as a
+    person's left and right one do, the one whose side is in doubt. None where neither is in doubt, as where
+    two people shake hands."""
     hands = first.hands
     _, mine, theirs = np.intersect1d(first.frames, second.frames, return_indices=True)
     if first.side != second.side or not any(
@@ -243,7 +250,7 @@ def _of_doubtful_side(first: _OpenTrack, second: _OpenTrack) -> _OpenTrack | Non
 
 
 def without_duplicates(hands: Detections) -> list[np.ndarray]:
-    """Non-maximum suppression: for each frame with hands the row of each hand's best detection, the best
+    """Suppress non-maxima: return for each frame with hands the row of each hand's best detection, the best
     first."""
     ordered = np.lexsort([-hands.score, ~hands.shown, hands.frame])
     kept: list[np.ndarray] = []
@@ -258,7 +265,7 @@ def without_duplicates(hands: Detections) -> list[np.ndarray]:
 
 
 def _link(hands: Detections, frames: Sequence[np.ndarray]) -> list[_OpenTrack]:
-    """Tracks of those rows of each frame with hands."""
+    """Link the detections in these rows, one array for each frame with hands, into tracks."""
     from scipy.optimize import linear_sum_assignment
 
     every: list[_OpenTrack] = []
@@ -280,13 +287,13 @@ def _link(hands: Detections, frames: Sequence[np.ndarray]) -> list[_OpenTrack]:
 
 
 def _rows_back(tracks: Sequence[_OpenTrack], count: int) -> np.ndarray:
-    """(tracks,) rows of their first ones of the last `count` detections."""
+    """Return (tracks,) the row of the first one of each track's last `count` detections."""
     return np.array([track.rows[-count:][0] for track in tracks], dtype=int)
 
 
 def _costs(hands: Detections, tracks: Sequence[_OpenTrack], now: np.ndarray) -> np.ndarray:
-    """(tracks, D) cost in hand sizes of assigning each detection of a frame, whose rows are `now` (D,), to
-    each track."""
+    """Return (tracks, D) the cost in hand sizes of assigning each of the D detections of a frame, whose rows
+    are `now` (D,), to each track."""
     last = _rows_back(tracks, 1)
     moved = _displacements(hands, last, _rows_back(tracks, LINKING.velocity_base), int(hands.frame[now[0]]))
     sides = [SIDES.index(track.side) for track in tracks]
@@ -300,8 +307,8 @@ def _costs(hands: Detections, tracks: Sequence[_OpenTrack], now: np.ndarray) -> 
 
 
 def _displacements(hands: Detections, last: np.ndarray, before: np.ndarray, frame: int) -> np.ndarray:
-    """(N, 2) pixels by which hands are expected to have moved in `frame`, after all their detections, at
-    their last velocities: those from the detections `before` (N,) to the `last` ones (N,)."""
+    """Return (N, 2) the pixels by which N hands are expected to have moved by `frame`, which is after all
+    their detections, at the velocities between their detections `before` (N,) and `last` (N,)."""
     span = hands.frame[last] - hands.frame[before]
     velocity = (hands.centroid[last] - hands.centroid[before]) / np.maximum(span, 1)[:, None]
     frames = np.minimum(frame - hands.frame[last], LINKING.velocity_frames)
@@ -311,23 +318,24 @@ def _displacements(hands: Detections, last: np.ndarray, before: np.ndarray, fram
 
 
 class _Merger:
-    """Merges tracks of one hand. Rows are those of the clip's detections."""
+    """Merges tracks of one hand; rows are those of the clip's detections."""
 
     def __init__(self, hands: Detections, tracks: Sequence[_OpenTrack]) -> None:
         self._hands, self._tracks = hands, tracks
         self._track_of = np.full(len(hands), -1)
-        """(N,) number of each detection's track; -1: it has none, as a duplicate or dropped in a merge"""
+        """(N,) the number of each detection's track; -1 for a duplicate, or one that was dropped in a
+        merge"""
         for number, track in enumerate(tracks):
             self._track_of[track.rows] = number
         self._sides = np.array([SIDES.index(track.side) for track in tracks], dtype=int)
         self._merged = list(range(len(tracks)))
         self._ranks = np.zeros(len(tracks) + 1, dtype=int)
-        """(tracks + 1,) rank of each track among `_merged`, by falling weight; the count of tracks for one
-        that is not among them, and in the last place, for dropped detections"""
+        """(tracks + 1,) the rank of each track among `_merged`, by falling weight; for a track that is not
+        among them, and in the last place, for dropped detections, the count of tracks"""
 
     @property
     def tracks(self) -> list[_OpenTrack]:
-        """The tracks after merging."""
+        """The tracks that are left after merging."""
         return [self._tracks[number] for number in self._merged]
 
     def merge(self, same_hand: Callable[[_Merger, np.ndarray], np.ndarray]) -> None:
@@ -351,8 +359,8 @@ class _Merger:
             self._sides[into] = SIDES.index(self._tracks[into].side)
 
     def overlapping(self, rows: np.ndarray) -> np.ndarray:
-        """Numbers of the surer tracks that overlap a track in most common frames: one hand that was found
-        twice, often once as a left and once as a right one."""
+        """Return the numbers of the surer tracks that overlap a track in most common frames: one hand that
+        was found twice, often once as a left and once as a right one."""
         mine, theirs = self._concurrent(rows)
         hands, limit = self._hands, LINKING.overlap_distance
         apart = distances(hands, theirs, mine, limit)
@@ -367,13 +375,14 @@ class _Merger:
         return np.flatnonzero(2 * overlaps > common)
 
     def returning(self, rows: np.ndarray) -> np.ndarray:
-        """Numbers of the surer tracks of the same side without a common frame, as a left hand leaves the
-        picture and a left hand enters later."""
+        """Return the numbers of the surer tracks of the same side without a common frame, as when a left hand
+        leaves the picture and a left hand enters later."""
         same_side = self._sides == self._sides[self._track_of[rows[0]]]
         return np.flatnonzero(self._disjoint(rows)[:-1] & same_side)
 
     def _concurrent(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(P,) and (P,) pairs of these rows with those of surer tracks in the same frame."""
+        """Return the P pairs of a detection in `rows` and a surer track's detection in its frame: (P,) rows
+        of the ones and (P,) rows of the others."""
         frames = self._hands.frame
         first, end = (np.searchsorted(frames, frames[rows], side) for side in ("left", "right"))
         count = end - first
@@ -382,7 +391,8 @@ class _Merger:
         return np.repeat(rows, count)[surer], theirs[surer]
 
     def _disjoint(self, rows: np.ndarray) -> np.ndarray:
-        """(tracks + 1,) bool: which surer tracks are in none of the frames of these rows."""
+        """Return (tracks + 1,) bool: True for the surer tracks that are in none of the frames of these
+        rows."""
         disjoint = self._ranks < len(self._tracks)
         disjoint[self._track_of[self._concurrent(rows)[1]]] = False
         return disjoint

@@ -39,22 +39,24 @@ class CameraSettings:
     """Time-outs of live sources, in seconds, and what cameras are asked for."""
 
     answer_seconds: float = 2.0
-    """An address must answer, and send its next picture, within this; then somebody is told"""
+    """Seconds within which an address must answer, and send its next picture; after them somebody is told"""
     retry_seconds: float = 0.5
-    """Between two attempts to open a source that was lost"""
+    """Seconds between two attempts to open a source that was lost"""
     close_seconds: float = 5.0
-    """What the reading thread gets to end: as long as a system may wait for a picture, and some more"""
+    """Seconds that the reading thread gets to end: as long as a system may wait for a picture, and some
+    more"""
     max_pixels: int = 4096 * 2304
-    """Pixels of one picture; larger ones are refused, since no hand could be followed in them in time"""
+    """Most pixels of one picture; larger ones are refused, since no hand could be followed in them in time"""
 
 
 CAMERA: Final = CameraSettings()
 _SCHEMES: Final = ("http", "https", "rtsp")
 _WAITING: Final = 32
-"""pictures that may wait to be written; at 1080 lines they have 200 MB at most"""
+"""Most pictures that may wait to be written; at 1080 lines they have 200 MB at most"""
 
 Say = Callable[[str], None]
-"""Takes a sentence about what is wrong with a source at the moment; empty: nothing is"""
+"""Function that takes a sentence about what is wrong with a source at the moment; an empty one where nothing
+is"""
 
 
 @dataclass(frozen=True)
@@ -63,15 +65,15 @@ class LiveSource:
 
     camera: int | None = None
     address: str | None = None
-    """http, https (MJPEG) or rtsp"""
+    """Address of a network camera: http, https (MJPEG) or rtsp"""
     file: str | None = None
 
     @classmethod
     def parse(cls, text: str, *, online: bool = False, names: Path = SYSTEM_CAMERAS) -> Self:
-        """A camera by number or name, an address, or `file:CLIP`.
+        """Read a camera's number or name, an address, or `file:CLIP`.
 
-        `online`: addresses of other machines may be opened. `names`: where Linux lists its cameras. Raises
-        OptionError for what is none of these, and for an address of another machine.
+        `online`: addresses of other machines may be opened. `names`: the folder where Linux lists its
+        cameras. Raises OptionError for a text that is none of these, and for an address of another machine.
         """
         text = text.strip()
         if text.startswith("file:"):
@@ -98,7 +100,7 @@ class LiveSource:
 
 
 def _checked(address: str, *, online: bool) -> str:
-    """An address that may be opened. Raises OptionError."""
+    """Return an address that may be opened. Raises OptionError for any other."""
     try:
         parts = urlsplit(address)
         host, _ = parts.hostname, parts.port
@@ -118,7 +120,7 @@ def _checked(address: str, *, online: bool) -> str:
 
 
 def _is_here(host: str) -> bool:
-    """True if a host's name is this machine's, without asking a network."""
+    """Return True if a host's name is this machine's, without asking a network."""
     if host.casefold() == "localhost":
         return True
     try:
@@ -128,22 +130,22 @@ def _is_here(host: str) -> bool:
 
 
 Decode = Callable[[], np.ndarray | None]
-"""Gives a picture (H, W, 3) uint8 RGB; None where it is damaged"""
+"""Function that decodes a picture to (H, W, 3) uint8 RGB; it returns None where the picture is damaged"""
 
 
 @dataclass(eq=False)
 class LivePicture:
-    """A picture of a live source, decoded once it is wanted."""
+    """A picture of a live source that is decoded only once it is wanted."""
 
     number: int
-    """Counted from 1 over all that came"""
+    """Number of the picture, counted from 1 over all that came"""
     time: float
-    """seconds of `time.perf_counter` when it came"""
+    """Time in seconds of `time.perf_counter` when the picture came"""
     decode: Decode
 
     @cached_property
     def rgb(self) -> np.ndarray | None:
-        """(H, W, 3) uint8; None for a damaged one."""
+        """The picture (H, W, 3) uint8 RGB; None for a damaged one."""
         return self.decode()
 
 
@@ -151,7 +153,8 @@ class Recorder:
     """Writes one recording in a thread of its own, since encoding takes longer than some sources have."""
 
     def __init__(self, path: str | os.PathLike[str], fps: float, say: Callable[[str], None]) -> None:
-        """`say` is told, in a sentence, why nothing can be written any more. Raises OutputError."""
+        """Begin a recording at `path`; `say` is told, in a sentence, why nothing can be written any more.
+        Raises OutputError where the file cannot be begun."""
         self.writer = ClipWriter(path, fps)
         self._say = say
         self._waiting: queue.Queue[LivePicture | None] = queue.Queue(_WAITING)
@@ -164,7 +167,7 @@ class Recorder:
             self._waiting.put_nowait(picture)
 
     def close(self) -> ClipWriter:
-        """Write what waits, and close the file."""
+        """Write the pictures that still wait, and close the file."""
         self._waiting.put(None)
         self._thread.join()
         self.writer.close()
@@ -194,8 +197,8 @@ class LiveReader:
         *,
         loop: bool = False,
     ) -> None:
-        """`size` in pixels and `fps` are what a camera is asked for; `loop`: a file begins again at its
-        end."""
+        """Prepare to read a source. `size` in pixels and `fps` (frames per second) are what a camera is asked
+        for; with `loop` a file begins again at its end."""
         self._source, self._size, self._fps, self._loop = source, size, fps, loop
         self._changed = threading.Condition()
         self._stop = threading.Event()
@@ -204,11 +207,11 @@ class LiveReader:
         self._error: Exception | None = None
         self._ended = False
         self.received = 0
-        """Pictures that came"""
+        """Number of pictures that came"""
         self.dropped = 0
-        """Of these, pictures that nobody took before the next one came"""
+        """Number of pictures that nobody took before the next one came"""
         self.problem = ""
-        """What is wrong at the moment, a sentence; empty: nothing is"""
+        """What is wrong with the source at the moment, as a sentence; empty where nothing is"""
         self._thread = threading.Thread(target=self._read, name="handfit-live", daemon=True)
 
     def __enter__(self) -> Self:
@@ -221,9 +224,9 @@ class LiveReader:
         self.stop_recording()
 
     def newest(self, wait: float = 0.0) -> Frame | None:
-        """Take the newest frame: its number counts what came, its time is `time.perf_counter`'s. Waits up to
-        `wait` seconds for one; None where none came, or a damaged one. Raises the HandfitError that ended the
-        source."""
+        """Take the newest frame: its number counts the pictures that came, its time is in seconds of
+        `time.perf_counter`. Waits up to `wait` seconds for a frame; returns None where none came, or a
+        damaged one. Raises the HandfitError that ended the source."""
         with self._changed:
             self._changed.wait_for(lambda: self._newest is not None or self._ended, wait)
             picture, self._newest = self._newest, None
@@ -235,22 +238,23 @@ class LiveReader:
 
     @property
     def ended(self) -> bool:
-        """True if no frame will come any more, and the last one was taken; an error, `newest` tells."""
+        """True if no frame will come any more, and the last one was taken; where an error is the reason,
+        `newest` raises it."""
         return self._ended and self._newest is None and self._error is None
 
     @property
     def recording(self) -> ClipWriter | None:
-        """What the frames are written to; None: nothing."""
+        """The recording to which the frames are written; None where there is none."""
         return self._recorder.writer if self._recorder is not None else None
 
     def record(self, path: str | os.PathLike[str]) -> None:
-        """Write every frame that comes from now on to a file. Raises OutputError."""
+        """Write every frame that comes from now on to a file. Raises OutputError where it cannot be begun."""
         recorder = Recorder(path, self._fps, self._say)
         self.stop_recording()
         self._recorder = recorder
 
     def stop_recording(self) -> ClipWriter | None:
-        """Close the file; returns what was written to it, None where nothing was."""
+        """Close the recording's file; return what was written to it, None where there is no recording."""
         recorder, self._recorder = self._recorder, None
         return recorder.close() if recorder is not None else None
 
@@ -285,8 +289,8 @@ class LiveReader:
 
 
 def _played(file: str, stop: threading.Event, *, loop: bool) -> Generator[Decode, None, None]:
-    """What decodes each picture of a file, at its time, until `stop`; with `loop` again and again. Raises
-    InputError."""
+    """Yield a function that decodes each picture of a file, at the picture's time, until `stop`; with `loop`
+    again and again. Raises InputError where the file cannot be read."""
     with contextlib.closing(open_media(file)) as media:
         while not stop.is_set():
             began: float | None = None
@@ -303,8 +307,8 @@ def _played(file: str, stop: threading.Event, *, loop: bool) -> Generator[Decode
 def _captured(
     source: LiveSource, size: tuple[int, int], fps: float, stop: threading.Event, say: Say
 ) -> Generator[Decode, None, None]:
-    """What decodes each picture of a camera or an address, until `stop`. Raises InputError for a camera
-    that cannot be opened at first."""
+    """Yield a function that decodes each picture of a camera or an address, until `stop`. Raises InputError
+    for a camera that cannot be opened at first."""
     first = True
     while not stop.is_set():
         with contextlib.closing(_opened(source, size, fps, stop)) as pictures:
@@ -330,8 +334,8 @@ def _captured(
 def _opened(
     source: LiveSource, size: tuple[int, int], fps: float, stop: threading.Event
 ) -> Generator[Decode, None, None]:
-    """The pictures of a source from opening it until it ends, fails or is to stop; none where it cannot be
-    opened."""
+    """Yield functions that decode the pictures of a source from opening it until it ends, fails or is to
+    stop; none where it cannot be opened."""
     # OpenCV reads it when it loads; its own value is 10 seconds.
     os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", f"{math.ceil(CAMERA.answer_seconds)}")
     # Or OpenCV on macOS, which asks for permission on the main thread alone, opens nothing; the system asks.
@@ -377,7 +381,8 @@ def _opened_camera(cv2: Any, number: int, size: tuple[int, int], fps: float) -> 
 
 
 def _decoded(data: np.ndarray, *, encoded: bool) -> np.ndarray | None:
-    """The picture (H, W, 3) uint8 RGB of an encoded JPEG (1, N) or of BGR; None for a damaged one."""
+    """Return the picture (H, W, 3) uint8 RGB of an encoded JPEG (1, N) or of BGR pixels; None for a damaged
+    one."""
     import cv2
 
     try:
@@ -412,7 +417,7 @@ def _opened_address(cv2: Any, address: str) -> Any:
 
 
 def _why_no_camera(number: int) -> str:
-    """What keeps a camera from being opened, and what to do."""
+    """Return what keeps the camera of that number from being opened, and what to do, as text for people."""
     listed = ", ".join(f"{n} ({name})" for n, name in cameras())
     if sys.platform == "darwin":
         return (

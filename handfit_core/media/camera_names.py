@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Final
 
 SYSTEM_CAMERAS: Final = Path("/sys/class/video4linux")
-"""Where Linux lists its cameras"""
+"""The folder in which Linux lists its cameras"""
 
 
 def cameras(names: Path = SYSTEM_CAMERAS) -> list[tuple[int, str]]:
-    """The numbers and names of the cameras that the system lists without opening one, which Linux alone
-    does."""
+    """Return the numbers and names of the cameras that the system lists without opening one, which Linux
+    alone does; elsewhere the list is empty."""
     found = []
     for folder in names.glob("video*"):
         number = folder.name.removeprefix("video")

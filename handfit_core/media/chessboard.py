@@ -25,7 +25,8 @@ from handfit_core.media.source import Media
 log = logging.getLogger("handfit")
 
 CORNERS: Final = (11, 6)
-"""Where four squares meet, in a row and in a column. One is odd, so that no half turn shows the same board"""
+"""Inner corners of the chessboard, where four squares meet: in a row, and in a column. One number is odd, so
+that no half turn shows the same board"""
 
 
 @dataclass(frozen=True)
@@ -33,36 +34,45 @@ class ChessboardSettings:
     """How the board is drawn, which frames are used, and what a film must show."""
 
     square: int = 120
-    """pixels; with the margins the board fills a screen of 1920 x 1080"""
+    """Side of a square of the drawn board in pixels; with the margins the board fills a screen of 1920 x
+    1080"""
     looked_at: int = 120
-    """Parts of the film, of 0.25 s in half a minute, in each of which the sharpest frame is looked at"""
+    """Number of parts of the film, each 0.25 s of half a minute, in each of which the sharpest frame is
+    looked at"""
     used: int = 30
-    """Boards that are calibrated with; the error falls with their root, the time grows with their number"""
+    """Most boards that are calibrated with; the error falls with the root of their number, the time grows
+    with it"""
     least: int = 8
-    """Boards that differ"""
+    """Least number of boards that must differ"""
     differing: float = 0.03
-    """of the longer side that a board's outer corners must have moved, root of the sum of squares"""
+    """How far a board's outer corners must have moved for it to differ: root of the sum of squares, as a
+    share of the picture's longer side"""
     search_side: int = 960
-    """pixels of the longer side, in which the board is searched; its corners are refined in all pixels"""
+    """Longer side in pixels of the picture in which the board is searched; its corners are refined in all
+    pixels"""
     most_blur: float = 1.5
-    """times the median width of the edges: blurred boards are also skewed by the rolling shutter"""
+    """Blur of the edges beyond which a board is left out, in times of the median width: blurred boards are
+    also skewed by the rolling shutter"""
     outlying: float = 2.5
-    """times the median error: boards beyond are left out"""
+    """Error beyond which a board is left out, in times of the median error"""
     supported: float = 3.0
-    """standard deviations from zero that a term of the distortion must be, to be kept"""
+    """How many standard deviations from zero a term of the distortion must be, to be kept"""
     centre_sigma: float = 0.01
-    """of the longer side: a principal point that is known worse is taken to be the picture's middle"""
+    """Standard deviation, as a share of the longer side, beyond which the principal point is taken to be the
+    picture's middle"""
     least_parts: int = 7
-    """of the picture's nine in which corners must have been seen"""
+    """Least number of the picture's nine parts in which corners must have been seen"""
     tilted: float = 0.06
-    """logarithm of the ratio of opposite sides of a board that is seen from aside"""
+    """Logarithm of the ratio of a board's opposite sides from which the board counts as seen from aside"""
     least_tilted: int = 4
-    """boards; a board that is parallel to the picture says nothing about the focal length"""
+    """Least number of boards that are seen from aside; one that is parallel to the picture says nothing about
+    the focal length"""
     most_focal_sigma: float = 0.01
-    """of the focal length; hands' distances would be off by as much"""
+    """Largest standard deviation of the focal length, as a share of it; hands' distances would be off by as
+    much"""
     most_error: float = 1.0 / 800.0
-    """of the longer side, root mean square over the corners: more is no lens, but a film that was stabilised
-    or moved too fast"""
+    """Largest root mean square error over the corners, as a share of the longer side: more is no lens, but a
+    film that was stabilised or moved too fast"""
 
 
 CHESSBOARD: Final = ChessboardSettings()
@@ -76,7 +86,7 @@ _HOW: Final = (
 
 
 def board_png() -> bytes:
-    """The chessboard as a PNG file of 1920 x 1080 pixels, with a white margin of a square or more."""
+    """Return the chessboard as a PNG file of 1920 x 1080 pixels, with a white margin of a square or more."""
     square, (across, down) = CHESSBOARD.square, CORNERS
     rows = np.add.outer(np.arange(down + 1), np.arange(across + 1)) % 2 == 0
     board = np.where(np.kron(rows, np.ones((square, square), dtype=bool)), 0, 255).astype(np.uint8)
@@ -101,7 +111,8 @@ def measure_lens(
     `on_frame` gets the counts of frames that are read and of all, 0 where unknown; `should_stop` is asked
     before each frame.
 
-    Raises InputError, with what to film more where the film is not enough, and Cancelled.
+    Raises InputError, which says what to film more, where the film is not enough, and Cancelled where it was
+    stopped.
     """
     media = open_media(source)
     corners, blur, looked_at = [], [], 0
@@ -127,7 +138,7 @@ def measure_lens(
 def _sharpest(
     media: Media, on_frame: Callable[[int, int], None], should_stop: Callable[[], bool]
 ) -> Iterator[np.ndarray]:
-    """The sharpest frame (H, W) of each part of the film, gray."""
+    """Yield the sharpest frame (H, W) of each part of the film, in gray."""
     import cv2
 
     total = media.expected_frames
@@ -151,7 +162,7 @@ def _sharpest(
 
 
 def _smaller(gray: np.ndarray, side: int) -> np.ndarray:
-    """A picture whose longer side has at most so many pixels."""
+    """Scale a picture down so that its longer side has at most so many pixels."""
     import cv2
 
     scale = side / max(gray.shape)
@@ -159,8 +170,8 @@ def _smaller(gray: np.ndarray, side: int) -> np.ndarray:
 
 
 def _corners(gray: np.ndarray) -> tuple[np.ndarray, float] | None:
-    """The board's corners (66, 2) in pixels and the width of its edges in squares; None where it is not
-    found."""
+    """Return the board's corners (66, 2) in pixels and the width of its edges in squares; None where no board
+    is found."""
     import cv2
 
     small = _smaller(gray, CHESSBOARD.search_side)
@@ -179,7 +190,8 @@ def _corners(gray: np.ndarray) -> tuple[np.ndarray, float] | None:
 
 
 def _quads(boards: np.ndarray) -> np.ndarray:
-    """(N, 66, 2) corners -> (N, 4, 2) the outer ones in order around the board, the upper left first."""
+    """Return the four outer corners (N, 4, 2) of boards with corners (N, 66, 2), in order around each board,
+    the upper left first."""
     across, count = CORNERS[0], boards.shape[1]
     outer = boards[:, [0, across - 1, count - 1, count - across]]
     first = outer.sum(axis=-1).argmin(axis=1)
@@ -187,8 +199,8 @@ def _quads(boards: np.ndarray) -> np.ndarray:
 
 
 def _diverse(quads: np.ndarray) -> np.ndarray:
-    """Indices of the boards (N, 4, 2) to use, each as far as can be from those before: in place, distance and
-    tilt alike, as all of them move corners."""
+    """Return the indices of the boards (N, 4, 2) to use, each as different as can be from those before: in
+    place, distance and tilt alike, as all of them move corners."""
     rows = quads.reshape(len(quads), -1)
     away = np.linalg.norm(rows - rows.mean(axis=0), axis=1)
     chosen = [int(away.argmin())]
@@ -222,24 +234,24 @@ def _check_spread(name: str, boards: np.ndarray, size: tuple[int, int]) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Calibration:
-    """What OpenCV found."""
+    """The result of OpenCV's calibration with N boards."""
 
     matrix: np.ndarray
     distortion: np.ndarray
     sigma: np.ndarray
-    """standard deviations of fx, fy, cx, cy, k1, k2, ..."""
+    """Standard deviations of fx, fy, cx, cy, k1, k2, ... as OpenCV orders them"""
     errors: np.ndarray
-    """(N,) px, root mean square of each board"""
+    """(N,) root mean square error of each board's corners, in pixels"""
 
     @property
     def error(self) -> float:
-        """px, root mean square"""
+        """Root mean square error over all corners, in pixels."""
         return float(np.sqrt(np.square(self.errors).mean()))
 
 
 def _calibrated(name: str, boards: np.ndarray, size: tuple[int, int]) -> MeasuredLens:
-    """The lens that boards (N, 66, 2) tell, with as many terms as they support. Raises InputError where they
-    tell too little, or what no lens does."""
+    """Return the lens that boards (N, 66, 2) tell, with as many terms as they support. Raises InputError
+    where they tell too little, or something that no lens does."""
     import cv2
 
     longer = max(size)
@@ -274,8 +286,8 @@ def _calibrated(name: str, boards: np.ndarray, size: tuple[int, int]) -> Measure
 
 
 def _scatter(boards: np.ndarray, size: tuple[int, int], found: _Calibration) -> float:
-    """The standard deviation, px, of the focal length, by quarters of the boards. Within a board errors
-    are alike, as by a rolling shutter, of which OpenCV's own deviations know nothing."""
+    """Return the standard deviation, in pixels, of the focal length, by quarters of the boards. Within a
+    board errors are alike, as by a rolling shutter, of which OpenCV's own deviations know nothing."""
     import cv2
 
     others = cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2
@@ -286,8 +298,8 @@ def _scatter(boards: np.ndarray, size: tuple[int, int], found: _Calibration) -> 
 def _solve(
     boards: np.ndarray, size: tuple[int, int], fixed: int, start: _Calibration | None = None
 ) -> _Calibration:
-    """Calibrate: one focal length, no tangential and no third radial term, and what is not `fixed`, which is
-    then as in `start`, or the picture's middle and 0."""
+    """Calibrate a lens with one focal length, no tangential and no third radial term. What is `fixed` stays
+    as in `start`, or without that the principal point is the picture's middle and the distortion 0."""
     import cv2
 
     across, down = CORNERS

@@ -22,21 +22,22 @@ log = logging.getLogger("handfit")
 
 _SUFFIXES: Final = {"photo": ".jpg", "video": ".mp4"}
 _UNREAD: Final = {"photo": PICTURES["HEIC"], "video": PICTURES["PNG"] + b"|" + PICTURES["WebP"]}
-"""First bytes, by kind, of what Blender does not read, or not in every version: HEIC and AVIF; of pictures
-that move it shows the first frame alone"""
+"""First bytes, by kind of source, of files that Blender does not read, or not in every version: HEIC and
+AVIF, and pictures that move, of which it shows the first frame alone"""
 _KEPT: Final = 100
-"""copies"""
+"""Number of the newest copies that are always kept"""
 _NEEDED: Final = 24 * 3600.0
-"""seconds; a batch shows copies when all of its inputs are captured"""
+"""Seconds for which a copy is kept in any case; a batch shows copies when all of its inputs are captured"""
 
 
 def copies_folder() -> Path:
-    """Where all copies lie."""
+    """Return the folder in which all copies lie."""
     return cache_dir() / "plates"
 
 
 def copy_path(source: Source) -> Path | None:
-    """Where the copy of a photo or clip lies, whether or not there is one; None where none is needed."""
+    """Return the path of the copy of a photo or clip, whether or not there is one; None where none is
+    needed."""
     path = Path(source.files[0])
     if source.kind not in _UNREAD or not begins(path, _UNREAD[source.kind]):
         return None
@@ -47,7 +48,8 @@ def copy_path(source: Source) -> Path | None:
 
 
 def write_copy(source: Source, max_megapixels: float | None = None) -> None:
-    """Write the copy where Blender needs one: upright, frame for frame. Says where that fails."""
+    """Write the copy of a photo or clip where Blender needs one: upright, frame for frame. Logs a warning
+    where that fails."""
     path = copy_path(source)
     if path is None or path.is_file():
         return
@@ -83,7 +85,7 @@ def _write_photo(path: Path, media: Media) -> None:
 
 
 def _write_clip(path: Path, media: Media) -> None:
-    """A picture is written again on every frame on which it is shown."""
+    """Write the copy of a clip; a picture is written again on every frame on which it is shown."""
     import av
 
     shown = np.zeros((media.height, media.width, 3), dtype=np.uint8)

@@ -39,8 +39,9 @@ and addresses that it would open."""
 
 
 def opened(path: Path, max_pixels: int, threads: int = 0) -> Reading:
-    """A video, to be read from its beginning by so many threads, 0: one a core; its frames have at most so
-    many pixels. Raises InputError where it cannot be read, and OSError."""
+    """Open a video, to be read from its beginning by so many threads (0: one a core), with frames of at most
+    so many pixels. Raises InputError where it is no video that can be read, and OSError where the file cannot
+    be."""
     return _Animation(path) if begins(path, PICTURES["WebP"]) else _File(path, max_pixels, threads)
 
 
@@ -51,36 +52,37 @@ class Reading:
     size: tuple[int, int]
     """Width and height that the container claims, in pixels"""
     fps: float
-    """The rate that the file tells; 0 where it tells none"""
+    """Frames per second that the file tells; 0 where it tells none"""
     seconds: float
-    """Its length, as the container claims; 0 where it does not"""
+    """Length in seconds that the container claims; 0 where it claims none"""
     unit: float
-    """Seconds of a step of time stamps"""
+    """Seconds of one step of the stream's time stamps"""
     start: int = 0
-    """The first time stamp"""
+    """Time stamp at which the stream begins"""
     aspect: float = 1.0
-    """The width of a pixel by its height"""
+    """Ratio of a pixel's width to its height"""
     ended: str = ""
-    """Why reading ended before its end"""
+    """The reason why reading ended before the video's end; empty where it did not"""
     out_of_order: int = 0
-    """Pictures that were left out, as their time is before that of one that came before"""
+    """Number of pictures that were left out, as their time is before that of one that came before"""
     broken: float = 0.0
-    """Seconds of breaks between pictures"""
+    """Seconds of all breaks between pictures together"""
 
     def __post_init__(self) -> None:
         self.scaler = VideoReformatter()
-        """Converts its pictures; one thread uses it"""
+        """Converts the video's pictures; one thread uses it"""
         self.fps = self.fps if 0.0 < self.fps <= MEDIA.max_fps else 0.0
         self._per_frame = 1.0 / ((self.fps or DEFAULT_FPS) * self.unit)
         self._size: tuple[int, int] | None = None
-        """Width and height of its first picture"""
+        """Width and height of the video's first picture, in pixels; None before it was read"""
 
     def _decoded(self) -> Iterator[VideoFrame]:
-        """Pictures as the decoder gives them; what is damaged is left out."""
+        """Yield the pictures as the decoder gives them; damaged ones are left out."""
         raise NotImplementedError
 
     def _seek(self, stamp: int) -> bool:
-        """True if the next picture to be decoded was moved to one at that time or before it."""
+        """Move so that the next picture to be decoded is one at that time stamp or before it; return True if
+        that was done."""
         raise NotImplementedError
 
     def close(self) -> None:
@@ -88,18 +90,20 @@ class Reading:
         raise NotImplementedError
 
     def _stamp(self, number: int) -> int:
-        """The time that frame `number`, counted from 1, stands for, in the stream's units from its start."""
+        """Return the time stamp that frame `number`, counted from 1, stands for, in the stream's units from
+        its start."""
         return math.floor((number - 1) * self._per_frame + 0.5)
 
     def _number(self, stamp: int) -> int:
-        """The first frame on which a picture is shown."""
+        """Return the number of the first frame on which a picture with that time stamp is shown."""
         number = max(1, math.floor((stamp - self.start - 0.5) / self._per_frame))
         while self._stamp(number) < stamp - self.start:
             number += 1
         return number
 
     def _ordered(self) -> Iterator[tuple[int, int, VideoFrame]]:
-        """(time stamp, count, picture) by time: decoders that begin in the middle give some too early."""
+        """Yield (time stamp, count, picture) by rising time: decoders that begin in the middle give some
+        pictures too early."""
         waiting: list[tuple[int, int, VideoFrame]] = []
         last = self.start - 1
         for count, picture in enumerate(self._decoded()):
@@ -111,8 +115,9 @@ class Reading:
             yield heapq.heappop(waiting)
 
     def pictures(self, first: int = 1) -> Iterator[tuple[int, VideoFrame]]:
-        """Frame numbers, increasing, and the pictures that are first shown on them. Ends where none follows
-        for long, frame `first` excepted, and where their size changes, as Blender shows nothing more."""
+        """Yield increasing frame numbers, and the pictures that are first shown on them. Ends where no
+        picture follows for long, frame `first` excepted, and where the size changes, as Blender shows nothing
+        more."""
         shown: tuple[int, VideoFrame] | None = None
         for stamp, _, picture in self._ordered():
             number = self._number(stamp)
@@ -138,7 +143,8 @@ class Reading:
             yield shown
 
     def sought(self, number: int) -> Iterator[tuple[int, VideoFrame]]:
-        """`pictures` from one on that is shown on a frame or before it, as the container's index has it."""
+        """Yield what `pictures` does, from a picture on that is shown on frame `number` or before it, as the
+        container's index has it."""
         for stamp in (self._stamp(number), 0):
             if self._seek(self.start + stamp):
                 following = self.pictures(first=number)
@@ -152,7 +158,7 @@ class _File(Reading):
     """A video that FFmpeg reads."""
 
     def __init__(self, path: Path, max_pixels: int, threads: int) -> None:
-        """Open it. Raises InputError where FFmpeg cannot, and for one without pictures."""
+        """Open a video file. Raises InputError where FFmpeg cannot, and for a file without pictures."""
         # FFmpeg gets the open file and never its name, which it might take for an address or a pattern.
         self._file = open(path, "rb")  # noqa: SIM115 (until it is closed)
         try:
@@ -211,7 +217,8 @@ class _Animation(Reading):
     """A WebP with several pictures, which FFmpeg does not decode."""
 
     def __init__(self, path: Path) -> None:
-        """Decode it. Raises InputError for a damaged one, and for more than is held in memory."""
+        """Decode a WebP file. Raises InputError for a damaged one, and for one with more pixels than are held
+        in memory."""
         data = path.read_bytes()
         header = read_picture_header(io.BytesIO(data)) or Header()
         pixels = data.count(b"ANMF") * header.width * header.height

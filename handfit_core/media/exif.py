@@ -23,7 +23,7 @@ from handfit_core.media.source import Media
 
 _ORIENTATION, _EXIF_DIRECTORY, _FOCAL_35MM = 0x0112, 0x8769, 0xA405
 SHORTEST, LONGEST = 4.0, 2000.0
-"""mm as on 35 mm film, between which a focal length is believed"""
+"""Shortest and longest focal length that is believed, in mm as on 35 mm film"""
 _TIFF: Final = rb"(?:Exif\0\0)?(?=II\*\0|MM\0\*)"
 _MARKERS: Final = {
     PICTURES["JPEG"]: re.compile(rb"\xff\xe1..Exif\0\0" + _TIFF, re.DOTALL),
@@ -32,23 +32,25 @@ _MARKERS: Final = {
     _TIFF: re.compile(_TIFF),
     PICTURES["HEIC"]: re.compile(rb"\0\0\0[\0\x06]" + _TIFF),
 }
-"""What stands before the tags, by a picture's first bytes; the chance that it is something else is 2^-64"""
+"""Pattern of what stands before the tags, by a picture's first bytes; the chance that it matches something
+else is 2^-64"""
 
 
 def read_orientation(data: bytes) -> int:
-    """EXIF orientation 1-8 of an encoded JPEG, PNG, WebP or TIFF; 1 where there is none."""
+    """Return the EXIF orientation 1-8 of an encoded JPEG, PNG, WebP or TIFF; 1 where there is none."""
     value = _number(data, _ORIENTATION)
     return value if 1 <= value <= 8 else 1
 
 
 def read_focal_35mm(data: bytes) -> float | None:
-    """Focal length in mm as on 35 mm film (EXIF FocalLengthIn35mmFilm); None where there is none."""
+    """Return the focal length in mm as on 35 mm film (EXIF FocalLengthIn35mmFilm); None where there is
+    none."""
     return float(_number(data, _EXIF_DIRECTORY, _FOCAL_35MM)) or None
 
 
 def _number(data: bytes, *tags: int) -> int:
-    """The number of the last of the tags, of which each one leads to the next one's directory; 0 where there
-    is none, and in damaged metadata, which are no reason to refuse a picture."""
+    """Return the number of the last of the tags, of which each one leads to the directory of the next one; 0
+    where there is none, and in damaged metadata, which are no reason to refuse a picture."""
     for container, marker in _MARKERS.items():
         if re.match(container, data, re.DOTALL) and (found := marker.search(data)):
             block = io.BytesIO(data[found.end() : found.end() + MEDIA.exif_bytes])
@@ -65,7 +67,8 @@ def _number(data: bytes, *tags: int) -> int:
 
 
 def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
-    """Undo an EXIF orientation: (H, W, ...) as stored -> as meant to be seen (a view where possible).
+    """Undo an EXIF orientation: turn pixels (H, W, ...) as stored into pixels as meant to be seen (a view
+    where possible).
 
     Orientations 5-8 swap height and width.
     """
@@ -79,9 +82,9 @@ def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
 
 
 def known_intrinsics(media: Media) -> Intrinsics | None:
-    """The camera of a clip, photo or image sequence whose first file names its focal length (QuickTime's
-    tags, EXIF; 35 mm film); None where it does not. For a picture that was cropped afterwards the result is
-    wrong, which nothing in the file shows."""
+    """Return the camera of a clip, photo or image sequence whose first file names its focal length
+    (QuickTime's tags, EXIF; 35 mm film); None where it does not. For a picture that was cropped afterwards
+    the result is wrong, which nothing in the file shows."""
     is_video = media.source.kind == "video"
     try:
         with open(Path(media.source.files[0]), "rb") as stream:

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     import av
 
 _MORE_PIXELS = 64
-"""Coded pictures are whole blocks of up to so many pixels"""
+"""Coded pictures are whole blocks of up to so many pixels a side"""
 
 
 def decoded_by_ffmpeg(path: Path, data: bytes) -> tuple[np.ndarray, int] | None:
-    """(H, W) or (H, W, 3) BGR as stored, uint8 or linear float16 or float32, and the EXIF orientation to
-    undo; None for a picture of another kind. Raises InputError."""
+    """Return (H, W) or (H, W, 3) BGR as stored, uint8 or linear float16 or float32, and the EXIF orientation
+    to undo; None for a picture of another kind. Raises InputError for a damaged one."""
     try:
         if re.match(PICTURES["HEIC"], data, re.DOTALL):
             return _heif(path, data)
@@ -41,7 +41,7 @@ def decoded_by_ffmpeg(path: Path, data: bytes) -> tuple[np.ndarray, int] | None:
 
 
 def _frames(decoder: str, packets: Sequence[bytes], **options: object) -> Iterator[tuple[int, av.VideoFrame]]:
-    """The pictures of those packets that can be read, with the packets' indices."""
+    """Yield those pictures of the packets that can be read, each with its packet's index."""
     import av
     from av.error import FFmpegError
 
@@ -94,7 +94,8 @@ def _exr(path: Path, data: bytes) -> np.ndarray:
 
 
 def _likely_beauty(layer: str) -> tuple[bool, bool, str]:
-    """Sorts the layer first that holds the picture itself: that without a name, or with a usual one."""
+    """Sort key that puts the layer first which holds the picture itself: the one without a name, or with a
+    usual one."""
     return layer != "", not re.search("combined|rgba?$|beauty", layer, re.IGNORECASE), layer
 
 

@@ -21,7 +21,8 @@ class FrameRange:
 
     @classmethod
     def parse(cls, text: str) -> FrameRange:
-        """`10-200:2`, `10-200`, `10-`, `-200`, `15`, `:2`. Raises OptionError."""
+        """Read a range such as `10-200:2`, `10-200`, `10-`, `-200`, `15` or `:2`. Raises OptionError for any
+        other text."""
         match = _PATTERN.fullmatch(text) if len(text) <= MEDIA.max_range_chars else None
         if not match or not text.strip():
             raise OptionError(
@@ -41,7 +42,8 @@ class FrameRange:
         return number in self.within(number, number)
 
     def within(self, low: int, high: int) -> range:
-        """The frames of the range from `low` to `high`, both included; counted, however many they are."""
+        """Return the frames of the range that lie from `low` to `high`, both included, without making a list
+        of them."""
         first = low if self.first is None else max(low, self.first)
         first += -(first - (self.first or 1)) % self.step
         return range(first, (high if self.last is None else min(high, self.last)) + 1, self.step)

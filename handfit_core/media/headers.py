@@ -30,30 +30,30 @@ PICTURES: Final = {
     "DPX": rb"SDPX|XPDS",
     "HEIC": HEIF,
 }
-"""What pictures of a kind begin with"""
+"""Pattern of a picture's first bytes, by the picture's kind"""
 _MAX_STEPS: Final = 100_000
-"""Markers, chunks or boxes that are read; no camera and no program writes as many"""
+"""Most markers, chunks or boxes of a file that are read; no camera and no program writes as many"""
 _SCAN_BYTES: Final = 1 << 20
 """Bytes of a stream that are searched for a playlist; FFmpeg reads as many to recognise a file"""
 
 
 @dataclass(frozen=True)
 class Header:
-    """Size and cost that a picture claims; a video's size is known to its decoder, but for a GIF's."""
+    """Size and cost that a picture claims; only its decoder knows a video's size, but for a GIF's."""
 
     width: int = 0
     height: int = 0
-    """Pixels as stored, before any orientation is undone; 0 for a video"""
+    """Height in pixels as stored, with `width` beside it, before any orientation is undone; 0 for a video"""
     cost: int = 1
     """Memory of decoding, relative to a picture with 8 bits per channel: 3 with 16 bits, which Blender makes
     floats of, and 4 with floats"""
 
 
 def read_picture_header(stream: BinaryIO) -> Header | None:
-    """The header of a JPEG, PNG, WebP, BMP, TIFF, PNM, Radiance, OpenEXR, DPX, HEIC or AVIF picture.
+    """Return the header of a JPEG, PNG, WebP, BMP, TIFF, PNM, Radiance, OpenEXR, DPX, HEIC or AVIF picture;
+    None for any other file, or one that is damaged before its size.
 
-    `stream` must be seekable; its position afterwards is undefined. None where it is none of these, or is
-    damaged before its size.
+    `stream` must be seekable; its position afterwards is undefined.
     """
     start = read_at(stream, 0, 65536)
     header = None
@@ -69,11 +69,11 @@ def read_picture_header(stream: BinaryIO) -> Header | None:
 
 
 def read_video_header(stream: BinaryIO) -> Header | None:
-    """A header without a size for an MP4, QuickTime, Matroska, WebM, AVI, Windows Media, MPEG, DV, Ogg, Flash
-    or MXF file, and a GIF's with its size.
+    """Return a header without a size for an MP4, QuickTime, Matroska, WebM, AVI, Windows Media, MPEG, DV,
+    Ogg, Flash or MXF file, and a GIF's with its size; None for any other file, or one that claims more frames
+    than it can hold.
 
-    `stream` must be seekable; its position afterwards is undefined. None where it is none of these, or claims
-    more frames than it can hold.
+    `stream` must be seekable; its position afterwards is undefined.
     """
     start = read_at(stream, 0, _SCAN_BYTES)
     # A transport stream's few fixed bytes can be had in a text, too. FFmpeg takes a file for a text up to the
@@ -95,7 +95,7 @@ CONTAINERS: Final = (
     rb"|\x00\x00\x01[\xba\xb3]|\x1f\x07\x00[\x3f\xbf]|G(.{187}G){3}|....G(.{191}G){3}"
     rb"|OggS\x00|FLV\x01|\x06\x0e\x2b\x34\x02\x05" % _MP4
 )
-"""What videos begin with that hold their frames themselves"""
+"""Pattern of the first bytes of videos that hold their frames themselves"""
 _PLAYLIST: Final = re.compile(rb"c=IN IP|<MPD|#EXTM3U|ffconcat", re.IGNORECASE)
 
 
@@ -107,7 +107,7 @@ def _unpack(stream: BinaryIO, layout: str, at: int | None = None) -> tuple[int, 
 
 
 def _cost(bits: int) -> int:
-    """The cost of a picture with so many bits per channel."""
+    """Return the cost of a picture with so many bits per channel, as `Header.cost`."""
     if bits <= 8:
         return 1
     return 3 if bits <= 16 else -(-bits // 8)
@@ -154,13 +154,13 @@ def _jpeg(stream: BinaryIO) -> Header | None:
 
 
 _LOGARITHMIC: Final = (34676, 34677)
-"""Compressions that are floats once they are decoded"""
+"""Numbers of TIFF's compressions whose pictures are floats once they are decoded"""
 _TIFF_NUMBERS: Final = {1: "B", 3: "H", 4: "I"}
 
 
 def read_tiff_tags(stream: BinaryIO, directory: int | None = None) -> dict[int, int]:
-    """The first number of each tag of a TIFF or EXIF directory that has whole numbers; None: of the first
-    directory. Raises struct.error for a damaged one."""
+    """Return the first number of each tag of a TIFF or EXIF directory that has whole numbers. `directory` is
+    its place in bytes; None: the first one. Raises struct.error for a damaged one."""
     order = "<" if read_at(stream, 0, 2) == b"II" else ">"
     if directory is None:
         (directory,) = _unpack(stream, order + "I", 4)
@@ -188,12 +188,12 @@ def _tiff(stream: BinaryIO) -> Header | None:
 
 
 _LONGEST_ATTRIBUTE: Final = 1 << 20
-"""Bytes of one of an OpenEXR picture's attributes that are read"""
+"""Most bytes of one attribute of an OpenEXR picture that are read"""
 
 
 def read_exr_attributes(stream: BinaryIO) -> dict[bytes, tuple[int, bytes]]:
-    """Where the value of each attribute of an OpenEXR picture begins, and the value; of parts the first's.
-    Raises struct.error and ValueError for damaged ones."""
+    """Return for each attribute of an OpenEXR picture, in a file of several parts the first part's, where its
+    value begins, in bytes, and the value. Raises struct.error and ValueError for damaged ones."""
     found: dict[bytes, tuple[int, bytes]] = {}
     position = 8
     for _ in range(_MAX_STEPS):
@@ -209,7 +209,7 @@ def read_exr_attributes(stream: BinaryIO) -> dict[bytes, tuple[int, bytes]]:
 
 
 def exr_channels(channels: bytes) -> list[str]:
-    """The names in an OpenEXR picture's attribute `channels`."""
+    """Return the names of the channels in an OpenEXR picture's attribute `channels`."""
     return [name.decode("utf-8", "replace") for name in re.findall(rb"([^\0]+)\0.{16}", channels, re.DOTALL)]
 
 
@@ -229,7 +229,7 @@ def _heif(stream: BinaryIO) -> Header | None:
 
 
 _WALKED: Final = {"JPEG": _jpeg, "PNG": _png, "TIFF": _tiff, "OpenEXR": _exr, "HEIC": _heif}
-"""Readers of pictures whose size may stand anywhere"""
+"""Functions that read the header of pictures whose size may stand anywhere, by kind"""
 
 
 def _little(data: bytes) -> int:
@@ -237,7 +237,7 @@ def _little(data: bytes) -> int:
 
 
 def _bmp(width: bytes, height: bytes) -> Header:
-    """Rows that go upwards have a height below zero."""
+    """Return a BMP's header; a height below zero means rows that go upwards."""
     across, down = (int.from_bytes(side, "little", signed=len(side) == 4) for side in (width, height))
     return Header(across, abs(down))
 
@@ -273,7 +273,7 @@ _FIXED: Final[dict[bytes, Callable[..., Header]]] = {
 
 
 def begins(path: Path, pattern: bytes) -> bool:
-    """True if a file begins like that; False for one that cannot be read."""
+    """Return True if a file begins with bytes that match `pattern`; False for a file that cannot be read."""
     try:
         with open(path, "rb") if is_file(path) else io.BytesIO() as stream:
             return bool(re.match(pattern, stream.read(65536), re.DOTALL))
@@ -292,14 +292,14 @@ def is_animated(path: Path) -> bool:
 _BOXES_WITH_BOXES: Final = frozenset({b"moov", b"trak", b"mdia", b"minf", b"stbl", b"moof", b"traf", b"meta"})
 _TABLES: Final = (b"keys", b"ilst")
 _LARGEST_TABLE: Final = 1 << 16
-"""Bytes of a table of metadata that are read"""
+"""Most bytes of a table of metadata that are read"""
 _COUNTS: Final = {b"stsz": 8, b"stz2": 8, b"trun": 4}
-"""Where the boxes that list frames say how many they are"""
+"""Place, in bytes from its beginning, at which each kind of box that lists frames says how many they are"""
 
 
 def _holds_its_frames(stream: BinaryIO) -> bool:
-    """True if an MP4 has at least a byte for each frame that it claims: FFmpeg would allocate a list of them,
-    and unpack a compressed header to whatever size it claims."""
+    """Return True if an MP4 has at least a byte for each frame that it claims: FFmpeg would allocate a list
+    of them, and unpack a compressed header to whatever size it claims."""
     end, frames = stream.seek(0, 2), 0
     for name, start, _ in boxes_of(stream, _BOXES_WITH_BOXES):
         if name in _COUNTS:
@@ -314,8 +314,8 @@ _NUMBERS: Final = {23: ">f", 24: ">d"}
 
 
 def read_video_focal_35mm(stream: BinaryIO) -> float | None:
-    """Focal length in mm as on 35 mm film, of the width of a picture, which phones note in a QuickTime file;
-    None where there is none, and in damaged metadata. `stream` must be seekable."""
+    """Return the focal length in mm as on 35 mm film, of the width of a picture, which phones note in a
+    QuickTime file; None where there is none, and in damaged metadata. `stream` must be seekable."""
     number = 0
     try:
         for name, start, end in boxes_of(stream, _BOXES_WITH_BOXES):
@@ -343,7 +343,8 @@ def read_video_focal_35mm(stream: BinaryIO) -> float | None:
 
 
 def _number(kind: int, value: bytes) -> float:
-    """A value of that well-known type as a number. Raises struct.error, ValueError and OverflowError."""
+    """Return a value of one of QuickTime's well-known types as a number. Raises struct.error, ValueError and
+    OverflowError for damaged values."""
     if kind == 1:
         return float(value.decode("ascii").removesuffix("mm"))
     return struct.unpack(_NUMBERS[kind], value)[0] if kind in _NUMBERS else float(int.from_bytes(value))

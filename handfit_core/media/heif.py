@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import BinaryIO, Final
 
 HEIF: Final = rb"....ftyp(?:hei[cxms]|mif[12]|avif)"
-"""What such a file begins with"""
+"""Pattern of the first bytes of a HEIC or AVIF file"""
 _DECODERS: Final = {b"hvc1": ("hevc", b"hvcC"), b"av01": ("libdav1d", b"av1C")}
-"""FFmpeg's decoder of a kind of item, and the property that it needs"""
+"""FFmpeg's decoder of each kind of item, and the name of the property that the decoder needs"""
 _MOST_BOXES: Final = 100_000
 _MOST_BYTES: Final = 1 << 22
-"""Bytes of the list of items that are read"""
+"""Most bytes of the list of items that are read"""
 _TURNS: Final = {None: (1, 8, 3, 6), 0: (4, 5, 2, 7), 1: (2, 7, 4, 5)}
 """EXIF's orientation by the mirroring (up to down is 0, left to right 1) that follows quarter turns to the
 left, and their number"""
@@ -25,32 +25,33 @@ left, and their number"""
 
 @dataclass(frozen=True)
 class Heif:
-    """The main picture of a file."""
+    """The main picture of a HEIC or AVIF file."""
 
     width: int
     height: int
-    """Pixels before it is cropped and turned"""
+    """Height in pixels, with `width` beside it, before the picture is cropped and turned"""
     crop: tuple[int, int, int, int]
-    """Left, top, right and bottom of what is to be seen"""
+    """Left, top, right and bottom, in pixels, of what is to be seen"""
     orientation: int
-    """As EXIF counts, 1-8; whatever the file's EXIF says is done already"""
+    """Orientation as EXIF counts, 1-8; whatever the file's EXIF says is done already"""
     tile_width: int
     tile_height: int
     tiles: tuple[tuple[tuple[int, int], ...], ...]
-    """Where the bytes of each tile lie in the file: starts and lengths; row by row"""
+    """For each tile, row by row, the places in the file at which its bytes lie: starts and lengths in
+    bytes"""
     decoder: str
     extradata: bytes
     bits: int
 
     @property
     def columns(self) -> int:
-        """Tiles in a row."""
+        """Number of tiles in a row."""
         return -(-self.width // self.tile_width)
 
 
 def read_heif(stream: BinaryIO) -> Heif | None:
-    """The main picture of a HEIC or AVIF; None where its layout is another one than a picture or a grid of
-    them. Raises struct.error, ValueError, IndexError and KeyError for damaged files."""
+    """Return the main picture of a HEIC or AVIF; None where its layout is another one than a picture or a
+    grid of them. Raises struct.error, ValueError, IndexError and KeyError for damaged files."""
     start, end = next((place for name, *place in boxes_of(stream, frozenset()) if name == b"meta"), (0, 0))
     meta = read_at(stream, start, min(end - start, _MOST_BYTES))
     boxes = {name: (at, data) for name, at, data in _boxes(meta, 4, start)}
@@ -85,14 +86,15 @@ def read_heif(stream: BinaryIO) -> Heif | None:
 
 
 def read_at(stream: BinaryIO, position: int, count: int) -> bytes:
-    """So many bytes at a place in a file, or fewer at its end."""
+    """Return so many bytes at a place in a file, or fewer at its end."""
     stream.seek(position)
     return stream.read(count)
 
 
 def boxes_of(stream: BinaryIO, with_boxes: frozenset[bytes]) -> Iterator[tuple[bytes, int, int]]:
-    """The name of each box of a file, and where its contents begin and end. Boxes of the names `with_boxes`
-    are entered: what they hold follows them. Raises struct.error, and ValueError beyond `_MOST_BOXES`."""
+    """Yield the name of each box of a file, and where its contents begin and end, in bytes. Boxes of the
+    names `with_boxes` are entered: what they hold follows them. Raises struct.error, and ValueError beyond
+    `_MOST_BOXES`."""
     end, position = stream.seek(0, 2), 0
     for _ in range(_MOST_BOXES):
         if position + 8 > end:
@@ -111,7 +113,8 @@ def boxes_of(stream: BinaryIO, with_boxes: frozenset[bytes]) -> Iterator[tuple[b
 
 
 def _boxes(data: bytes, at: int = 0, start: int = 0) -> Iterator[tuple[bytes, int, bytes]]:
-    """The name of each box, where its contents lie in the file that holds `data` at `start`, and these."""
+    """Yield the name of each box, where its contents lie in the file that holds `data` at `start`, and these
+    contents."""
     while at + 8 <= len(data):
         size, name = struct.unpack_from(">I4s", data, at)
         if size < 8:
@@ -121,13 +124,13 @@ def _boxes(data: bytes, at: int = 0, start: int = 0) -> Iterator[tuple[bytes, in
 
 
 def _kinds(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """The kind of each item."""
+    """Yield the number and the kind of each item."""
     for _, _, entry in _boxes(data, 8 if data[0] else 6):
         yield struct.unpack_from(">4xH2x4s" if entry[0] < 3 else ">4xI2x4s", entry)
 
 
 def _properties(data: bytes) -> Iterator[tuple[int, list[tuple[bytes, bytes]]]]:
-    """Name and contents of the properties of each item, in their order."""
+    """Yield for each item its number, and the name and contents of its properties in their order."""
     boxes = {name: inside for name, _, inside in _boxes(data)}
     known = [(name, inside) for name, _, inside in _boxes(boxes[b"ipco"])]
     links, at = boxes[b"ipma"], 8
@@ -142,7 +145,7 @@ def _properties(data: bytes) -> Iterator[tuple[int, list[tuple[bytes, bytes]]]]:
 
 
 def _tiles(data: bytes) -> Iterator[tuple[int, tuple[int, ...]]]:
-    """The items of which each grid is made."""
+    """Yield for each grid its number, and the numbers of the items of which it is made."""
     number = "I" if data[0] else "H"
     for name, _, links in _boxes(data, 4):
         if name == b"dimg":
@@ -151,7 +154,8 @@ def _tiles(data: bytes) -> Iterator[tuple[int, tuple[int, ...]]]:
 
 
 def _places(data: bytes, idat: int, end: int) -> Iterator[tuple[int, tuple[tuple[int, int], ...]]]:
-    """Starts and lengths of the bytes of each item, which are no more than the file has."""
+    """Yield for each item its number, and the starts and lengths of its bytes, which are no more than the
+    file has."""
     version, at = data[0], 6
     if not data[4] & 15:  # each would reach to the end of the file
         return
@@ -178,7 +182,8 @@ def _places(data: bytes, idat: int, end: int) -> Iterator[tuple[int, tuple[tuple
 
 
 def _crop(aperture: bytes | None, width: int, height: int) -> tuple[int, int, int, int]:
-    """Of a picture of that size; its middle and its own size are told as fractions."""
+    """Return the left, top, right and bottom in pixels of the part to be seen of a picture of that size; the
+    part's middle and size are stored as fractions."""
     if aperture is None:
         return 0, 0, width, height
     values = struct.unpack(">4I4i", aperture[:32])

@@ -1,4 +1,4 @@
-"""What a file is that cannot be read, told by its content."""
+"""Tells by its content what a file is that cannot be read."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ _KINDS: Final = {
     rb"(?i:\s*<(?:!DOCTYPE )?html)": "a web page in place of a picture; download the file again",
     rb"[\t\n\r\x20-\x7e\x80-\xff]+\Z": f"a text; {_CHOOSE}",
 }
-"""What files are by their first bytes, and what to do with them; the first that fits"""
+"""Kinds of files by their first bytes, as text that says what to do with them; the first that fits counts"""
 _UNKNOWN: Final = "data of an unknown kind, or damaged; export it as PNG, JPEG or MP4"
 
 
 def what_is(path: Path) -> str:
-    """What a file is and what to do with it, as the end of a sentence. Raises OSError."""
+    """Return what a file is and what to do with it, as the end of a sentence. Raises OSError."""
     with open(path, "rb") as stream:
         start = stream.read(4096)
     if not start:
@@ -49,5 +49,6 @@ def what_is(path: Path) -> str:
 
 
 def unreadable(path: Path) -> InputError:
-    """What is raised for a file that cannot be read as the kind that it should be. Raises OSError."""
+    """Return the error to raise for a file that cannot be read as the kind that it should be. Raises
+    OSError."""
     return InputError(f"{path}: {what_is(path)}")

@@ -18,26 +18,27 @@ from handfit_core.geometry.lens import Lens
 
 LONGEST_NAME: Final = 60
 NUMBERS: Final = re.compile(r"[\d.,eE+\s-]*")
-"""What is no name of a lens: nothing, and numbers that the option `lens` takes for a lens themselves"""
+"""Pattern of what is no name of a lens: nothing, and numbers that the option `lens` takes for a lens
+themselves"""
 _LARGEST: Final = 10_000_000
-"""bytes, as of 40 000 lenses"""
+"""Most bytes of the file of lenses that are read, as of 40 000 lenses"""
 
 
 @dataclass(frozen=True)
 class MeasuredLens:
-    """A lens, and how well it is known."""
+    """A lens that was measured with a chessboard, and how well it is known."""
 
     lens: Lens
     error: float
-    """px, root mean square over the chessboard's corners"""
+    """Root mean square distance, in pixels, of the chessboard's corners from where the lens puts them"""
     focal_sigma: float
-    """px, standard deviation of the focal length"""
+    """Standard deviation of the focal length, in pixels"""
     boards: int
-    """How many were calibrated with"""
+    """How many views of the chessboard the lens was calibrated with"""
 
     @property
     def said(self) -> str:
-        """What is told of it, a phrase."""
+        """The lens and its accuracy as a phrase for people."""
         lens, focal = self.lens, self.lens.intrinsics.fx
         view = math.degrees(2.0 * math.atan(max(lens.width, lens.height) / (2.0 * focal)))
         k1, k2 = lens.distortion[:2]
@@ -49,7 +50,7 @@ class MeasuredLens:
 
 
 def lens_numbers(lens: Lens) -> dict[str, Any]:
-    """A lens as JSON can hold it."""
+    """Return a lens as JSON can hold it: its numbers by their names."""
     return {
         "width": lens.width,
         "height": lens.height,
@@ -59,7 +60,7 @@ def lens_numbers(lens: Lens) -> dict[str, Any]:
 
 
 def lens_of_numbers(numbers: Mapping[str, Any]) -> Lens:
-    """The lens that `lens_numbers` made these of. Raises ValueError."""
+    """Return the lens that `lens_numbers` made these numbers of. Raises ValueError where they are none."""
     try:
         distortion = tuple(number("distortion", term) for term in numbers["distortion"])
         intrinsics = Intrinsics(*(number("intrinsics", value) for value in numbers["intrinsics"]))
@@ -70,12 +71,13 @@ def lens_of_numbers(numbers: Mapping[str, Any]) -> Lens:
 
 
 def lenses_path() -> Path:
-    """The file of the user's lenses."""
+    """Return the path of the file of the user's lenses."""
     return data_dir() / "lenses.json"
 
 
 def saved_lenses() -> dict[str, MeasuredLens]:
-    """The user's lenses by their names, in alphabetical order. Raises InputError for a damaged file."""
+    """Return the user's lenses by their names, in alphabetical order. Raises InputError for a damaged
+    file."""
     path = lenses_path()
     try:
         content = json.loads(read_file(path, _LARGEST))
@@ -91,7 +93,8 @@ def saved_lenses() -> dict[str, MeasuredLens]:
 
 
 def saved_lens(name: str) -> MeasuredLens:
-    """The user's lens of that name. Raises OptionError where there is none, and InputError."""
+    """Return the user's saved lens of that name. Raises OptionError where there is none, InputError where the
+    file of lenses cannot be read."""
     lenses = saved_lenses()
     if name not in lenses:
         there = f"; saved are {', '.join(map(shown, lenses))}" if lenses else ", and none is saved"
@@ -103,7 +106,8 @@ def saved_lens(name: str) -> MeasuredLens:
 
 
 def checked_name(name: str) -> str:
-    """A name as it is saved. Raises OptionError for one that cannot be told from numbers, or is too long."""
+    """Return a name in the form in which it is saved. Raises OptionError for a name that cannot be told from
+    numbers, or is too long."""
     name = storable(name).strip()
     if len(name) > LONGEST_NAME or NUMBERS.fullmatch(name):
         raise OptionError(
@@ -114,8 +118,9 @@ def checked_name(name: str) -> str:
 
 
 def save_lens(name: str, measured: MeasuredLens | None) -> None:
-    """Save a lens under a name, in place of one of that name; None: forget that. Raises OptionError,
-    InputError and OutputError."""
+    """Save a lens under a name, in place of a lens of that name; None: forget the lens of that name. Raises
+    OptionError for a name that cannot be used or, to forget, is not there; InputError where the file of
+    lenses cannot be read; OutputError where it cannot be written."""
     lenses = saved_lenses()
     if measured is None:
         saved_lens(name)

@@ -1,4 +1,4 @@
-"""From what a user names to what is opened: a photo, a folder, a pattern, numbered files, a video."""
+"""Opens what a user names: a photo, a folder, a pattern, numbered files, a video."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ log = logging.getLogger("handfit")
 _NUMBER_IN_PATTERN = re.compile(r"%0?\d*d|#+")
 _LAST_NUMBER = re.compile(r"(.*?)(-?)(\d+)(\D*(?:\.[^.]*)?)", re.DOTALL)
 _MOST_NAMED = 5
-"""Series, kinds of files and places for a number that are looked at"""
+"""Most series, kinds of files and places for a number that are looked at"""
 _NOT_MISSED = frozenset(".npz .json .blend .db .ini".split(" "))
-"""Suffixes of what lies beside pictures without being meant to be read"""
+"""Suffixes of files that lie beside pictures without being meant to be read"""
 
 
 def open_media(
@@ -97,18 +97,18 @@ def _open_path(path: Path, wanted: Wanted) -> Media:
 
 
 def is_pattern(text: str) -> bool:
-    """True if a path that does not exist is meant as `%04d`, `####` or glob pattern."""
+    """Return True if a path that does not exist is meant as `%04d`, `####` or glob pattern."""
     name = Path(text).name
     return bool(_NUMBER_IN_PATTERN.search(name)) or any(c in name for c in "*?[")
 
 
 def pictures_in(folder: Path) -> list[Path]:
-    """The pictures of a folder, in the order of the numbers in their names."""
+    """Return the pictures of a folder, in the order of the numbers in their names."""
     return pictures_and_others(folder)[0]
 
 
 def pictures_and_others(folder: Path) -> tuple[list[Path], list[Path]]:
-    """The pictures of a folder, in the order of the numbers in their names, and its other files."""
+    """Return the pictures of a folder, in the order of the numbers in their names, and its other files."""
     pictures, others = [], []
     for file in _files_in(folder):
         suffix = file.suffix.lower()
@@ -120,7 +120,7 @@ def pictures_and_others(folder: Path) -> tuple[list[Path], list[Path]]:
 
 
 def _files_in(folder: Path) -> list[Path]:
-    """The files of a folder that are not hidden; none where there is no such folder."""
+    """Return the files of a folder that are not hidden; none where there is no such folder."""
     if not folder.is_dir():
         return []
     # Asking a path whether it is a file would ask the disk, once for each.
@@ -132,8 +132,8 @@ def _files_in(folder: Path) -> list[Path]:
 def to_read(
     where: Path, pictures: list[Path], others: Sequence[Path] = ()
 ) -> tuple[list[Path], list[int] | None, str]:
-    """Which of the pictures of a folder or pattern are read together, their frame numbers if they are a
-    numbered series, and a sentence that says what is left out, if anything is: `others`, and what does not
+    """Return which of the pictures of a folder or pattern are read together, their frame numbers if they are
+    a numbered series, and a sentence that says what is left out, if anything is: `others`, and what does not
     belong to the longest series (the first by name of several), unless more pictures belong to none."""
     series, left, said = list(_series(pictures).values()), [], ""
     numbered = [each for each in series if len(each) > 1 and _are_frames([number for number, _ in each])]
@@ -158,7 +158,7 @@ def to_read(
 
 
 def _kinds(files: Sequence[Path]) -> list[str]:
-    """How many files of each kind there are: 2 .cr2."""
+    """Return how many files of each kind there are, as text such as "2 .cr2"."""
     kinds = Counter(file.suffix.lower() or "without an ending" for file in files).most_common()
     if len(kinds) > _MOST_NAMED:
         kinds[_MOST_NAMED:] = [("others", sum(count for _, count in kinds[_MOST_NAMED:]))]
@@ -166,8 +166,8 @@ def _kinds(files: Sequence[Path]) -> list[str]:
 
 
 def sequence_numbers(files: Sequence[Path]) -> list[int] | None:
-    """The frame numbers of files that form one numbered sequence (same name but for the last number
-    in it), or None.
+    """Return the frame numbers of files that form one numbered sequence (same name but for the last number in
+    it), or None.
 
     Numbers with wide gaps are no frames but a camera's counter or a time of day, as phones name photos.
     """
@@ -177,8 +177,8 @@ def sequence_numbers(files: Sequence[Path]) -> list[int] | None:
 
 
 def numbered_like(file: Path) -> list[tuple[int, Path]]:
-    """Everything beside `file`, itself included, that differs from it in the last number of its name only,
-    with that number; none where its name has no number."""
+    """Return all files beside `file`, itself included, that differ from it in the last number of their names
+    only, each with that number; none where its name has no number."""
     there = file.parent.iterdir() if file.parent.is_dir() else ()
     beside = [each for each in there if each.name.endswith(file.suffix)]
     for name, each in _series(beside).items():
@@ -212,14 +212,14 @@ def _series(files: Sequence[Path]) -> dict[tuple[str, ...], list[tuple[int, Path
 
 
 def _are_frames(numbers: Sequence[int]) -> bool:
-    """True if they may be the frames of one sequence."""
+    """Return True if these numbers may be the frames of one sequence."""
     if not numbers or not _can_be_frames(numbers):
         return False
     return max(numbers) - min(numbers) + 1 <= MEDIA.max_frame_gap * len(numbers)
 
 
 def _can_be_frames(numbers: Sequence[int]) -> bool:
-    """True if Blender could hold them all, each once."""
+    """Return True if Blender could hold frames of all these numbers, each once."""
     most = MEDIA.max_frame_number
     return -most <= min(numbers) and max(numbers) <= most and len(set(numbers)) == len(numbers)
 
@@ -230,7 +230,8 @@ def _natural(path: Path) -> list[tuple[int, int, str]]:
 
 
 def matching(pattern: Path) -> tuple[list[Path], list[int] | None]:
-    """The files of a pattern, and their numbers in place of its `%04d` or `####`; None for a glob pattern."""
+    """Return the files of a pattern, and their numbers in place of its `%04d` or `####`; None for a glob
+    pattern."""
     places, name = list(_NUMBER_IN_PATTERN.finditer(pattern.name)), pattern.name
     if not places:
         # Only the last part is a pattern: folders may be called "[final]". So may files.

@@ -60,7 +60,8 @@ def read_picture(
 
 
 def _decoded(path: Path, data: bytes) -> tuple[np.ndarray, int]:
-    """(H, W), (H, W, 1|2|3|4) of any depth, BGR as stored, and the EXIF orientation to undo."""
+    """Return a picture's pixels as stored, (H, W) or (H, W, 1 to 4) of any depth with colours in the order
+    BGR, and the EXIF orientation to undo."""
     import cv2
 
     if found := decoded_by_ffmpeg(path, data):
@@ -77,8 +78,8 @@ def _decoded(path: Path, data: bytes) -> tuple[np.ndarray, int]:
 
 
 def _white(path: Path, pixels: np.ndarray) -> float:
-    """Which number of a picture with more than 8 bits is to be white: the largest of 16 bits, or 1 of floats,
-    unless the picture lies far from that, which is said."""
+    """Return the value that becomes white: the largest of 16 bits, or 1 of floats. Where the picture's values
+    lie far from that it is taken from them, with a warning."""
     step = max(1, math.isqrt(pixels.shape[0] * pixels.shape[1] // MEDIA.exposure_pixels))
     values = pixels[::step, ::step].astype(np.float64)
     values = values[..., : 3 if values.shape[-1] > 2 else 1] if values.ndim == 3 else values
@@ -99,8 +100,8 @@ def _white(path: Path, pixels: np.ndarray) -> float:
 
 
 def _rgb8(pixels: np.ndarray, white: float) -> np.ndarray:
-    """What `_decoded` gives, of which `white` is white -> (H, W, 3) uint8 RGB, in place where it has that
-    form."""
+    """Turn the pixels that `_decoded` gives, in which the value `white` is white, into (H, W, 3) uint8 RGB,
+    in place where they have that form."""
     in_place = pixels.dtype == np.uint8 and pixels.ndim == 3 and pixels.shape[2] == 3
     rgb = pixels if in_place else np.empty((*pixels.shape[:2], 3), dtype=np.uint8)
     for first in range(0, len(pixels), MEDIA.rows_at_once):
@@ -141,7 +142,8 @@ def _rows_rgb8(pixels: np.ndarray, white: float) -> np.ndarray:
 
 
 def _absolute(files: Sequence[Path]) -> tuple[str, ...]:
-    """Their absolute paths; folders are resolved once, since there may be a hundred thousand files."""
+    """Return the files' absolute paths; folders are resolved once, since there may be a hundred thousand
+    files."""
     folders: dict[str, str] = {}
     found: list[str] = []
     for file in files:
@@ -163,7 +165,8 @@ class Pictures(Media):
         kind: SourceKind,
         all_numbers: Sequence[int] = (),
     ) -> None:
-        """`all_numbers`: those of all pictures, if others than the `numbered` ones are there."""
+        """Open a sequence of `numbered` pictures; `all_numbers` are those of all its pictures, if there are
+        others than the `numbered` ones."""
         self._files, self._numbers = files, numbers = [f for _, f in numbered], [n for n, _ in numbered]
         self._all_numbers = all_numbers or numbers
         self._max_megapixels = common_limit(files, wanted.max_megapixels)
@@ -192,16 +195,16 @@ class Pictures(Media):
         return read_picture(file, max_megapixels=self._max_megapixels, whites=self._whites)
 
     def numbers(self, first: int = 0, count: int | None = None) -> Sequence[int]:
-        """The numbers of the wanted pictures, see `Media`."""
+        """Return the frame numbers of the wanted pictures, see `Media`."""
         return self._numbers[first:][:count]
 
     def all_numbers(self) -> Sequence[int]:
-        """The numbers of all pictures of the sequence."""
+        """Return the frame numbers of all pictures of the sequence."""
         return self._all_numbers
 
     def frames(self, first: int = 0, count: int | None = None, step: int = 1) -> Iterator[Frame]:
-        """Yield the pictures in order, see `Media`. Those that cannot be read, or have another size than the
-        first, are empty."""
+        """Yield the pictures in order, see `Media`. Pictures that cannot be read, or have another size than
+        the first, come as frames without a picture."""
         chosen = zip(self.numbers(first, count)[::step], self._files[first:][:count][::step], strict=True)
         for number, file in chosen:
             # Taken out, so that it does not stay in memory.

@@ -25,21 +25,21 @@ log = logging.getLogger("handfit")
 
 _MARK: Final = "Manient live recording"
 _TICKS: Final = 10_000
-"""a second"""
+"""Time steps of a recording in one second"""
 _TO_TIME: Final = 21
-"""bytes from the beginning of a cluster to its time"""
+"""Bytes from the beginning of a cluster to its time"""
 _STEPS: Final = 8
-"""frames over which a rate is counted: pictures may come in bursts"""
+"""Number of frames over which a rate is counted, since pictures may come in bursts"""
 _QUALITY: Final = 95
-"""JPEG's"""
+"""Quality of the JPEGs, 0..100"""
 _LARGEST_SIDE: Final = 65_535
-"""pixels of a JPEG"""
+"""Most pixels along a side of a JPEG"""
 _LONGEST_BREAK: Final = 60.0
-"""seconds without a picture after which a recording is over: what comes then is another take"""
+"""Seconds without a picture after which a recording is over: what comes then is another take"""
 
 
 def _element(name: str, content: bytes | int | str | float) -> bytes:
-    """An EBML element: its id in hexadecimal, eight bytes of length, the content."""
+    """Return an EBML element: its id in hexadecimal, eight bytes of length, the content."""
     if isinstance(content, float):
         content = struct.pack(">d", content)
     elif isinstance(content, int):
@@ -50,7 +50,7 @@ def _element(name: str, content: bytes | int | str | float) -> bytes:
 
 
 def _head(width: int, height: int, frame_seconds: float, seconds: float) -> bytes:
-    """All that stands before the first frame; of one length, whatever the numbers are."""
+    """Return all that stands before the first frame, in bytes of one length, whatever the numbers are."""
     # The name of the kind first: FFmpeg is given only what has it near its beginning.
     kind = [("4282", "matroska"), ("4286", 1), ("42F7", 1), ("42F2", 4)]
     kind += [("42F3", 8), ("4287", 4), ("4285", 2)]
@@ -76,21 +76,21 @@ class ClipWriter:
     """Writes the frames of one recording."""
 
     def __init__(self, path: str | os.PathLike[str], fps: float) -> None:
-        """Begin a file that does not exist yet. `fps`: the rate that it names while it is not closed. Raises
-        OutputError."""
+        """Begin a file that does not exist yet. `fps`: the frames per second that it names while it is not
+        closed. Raises OutputError where that fails."""
         self.path = Path(path)
         self.frames = 0
-        """Those that can be read again"""
+        """Number of the frames written so far that can be read again"""
         self.failed = False
         """True once a frame could not be written"""
         self._fps = fps
         self._size: tuple[int, int] | None = None
         self._times = array("d")
-        """Seconds of each frame's clock"""
+        """Seconds at which each frame was taken, by the clock of its source"""
         self._places = array("q")
-        """Where in the file the time of each frame stands"""
+        """Place in the file, in bytes, at which the time of each frame stands"""
         self._other_shape = False
-        """True once a frame of another shape than the first's was told of"""
+        """True once the user was told of a frame of another shape than the first one's"""
         try:
             self._file = open(self.path, "xb", buffering=0)  # noqa: SIM115 (until it is closed)
         except OSError as error:
@@ -99,9 +99,10 @@ class ClipWriter:
             ) from error
 
     def write(self, rgb: np.ndarray, time: float) -> None:
-        """Add a frame (H, W, 3) uint8 RGB, in seconds of any clock; one of another size than the first is
-        scaled to fit into it. Nothing happens once it is closed. Raises OutputError where it cannot be
-        written, or the last one was long ago, and closes the file: what was written before is kept."""
+        """Add a frame (H, W, 3) uint8 RGB, taken at `time` in seconds of any clock; one of another size than
+        the first is scaled to fit into it. Nothing happens once the file is closed. Raises OutputError where
+        the frame cannot be written, or the last one was long ago, and closes the file: what was written
+        before is kept."""
         import cv2
 
         if self._file.closed:
@@ -136,14 +137,15 @@ class ClipWriter:
             raise self._ended("the file was deleted or moved meanwhile", "leave its folder, and record anew")
 
     def _ended(self, reason: str, remedy: str) -> OutputError:
-        """Close the file, since no frame can be written any more; returns what to raise."""
+        """Close the file, since no frame can be written any more; return the error to raise."""
         self.failed = True
         self.close()
         kept = f" after {self.frames} frames, which are kept" if self.frames else ""
         return OutputError(f"{shown(str(self.path))}: the recording ended{kept} ({reason}); {remedy}")
 
     def _fitted(self, rgb: np.ndarray) -> np.ndarray:
-        """A frame (H, W, 3) in the middle of one of the first one's size, as large as fits, black around."""
+        """Return a frame (H, W, 3) in the middle of a black one of the first frame's size, as large as
+        fits."""
         import cv2
 
         assert self._size is not None
@@ -164,19 +166,19 @@ class ClipWriter:
         return whole
 
     def _put(self, data: bytes) -> None:
-        """Write all of it, which a full disk takes in parts."""
+        """Write all bytes, which a full disk takes in parts."""
         rest = memoryview(data)
         while rest:
             rest = rest[self._file.write(rest) :]
 
     @property
     def seconds(self) -> float:
-        """From its first to its last frame."""
+        """Seconds from the recording's first to its last frame."""
         return self._times[-1] - self._times[0] if self._times else 0.0
 
     @property
     def fps(self) -> float:
-        """The rate of its frames where nothing breaks them, in whole frames per second."""
+        """Whole frames per second of the recording where nothing breaks it."""
         steps = np.diff(self._times)
         times = np.cumsum(steps[steps < MEDIA.break_seconds])
         apart = min(_STEPS, len(times) // 2)
@@ -184,8 +186,8 @@ class ClipWriter:
         return max(1.0, round(1.0 / usual)) if usual > 0.0 else self._fps
 
     def close(self) -> None:
-        """Write the rate, the length and even times, and close it; an empty file is removed. Where the disk
-        is gone, the rate that was named first stays."""
+        """Write the rate, the length and even times, and close the file; an empty one is removed. Where the
+        disk is gone, the rate that was named first stays."""
         if self._file.closed:
             return
         with contextlib.suppress(OSError), self._file:

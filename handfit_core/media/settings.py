@@ -14,42 +14,44 @@ class MediaSettings:
     """Frames of a clip that are detected together at most (`Media.chunk_frames`). A chunk begins with a palm
     detection in the whole picture, as every 24th frame has one"""
     max_range_chars: int = 40
-    """Numbers beyond any clip's frames fit in"""
+    """Most characters of a frame range; numbers beyond any clip's frames fit in"""
     max_frame_number: int = 1_048_574
     """Blender's last frame."""
     max_frame_gap: int = 10
-    """Mean distance of the frame numbers of a sequence, at most"""
+    """Largest mean distance of the frame numbers of one sequence"""
     max_fps: float = 1000.0
     min_seek_frames: int = 500
-    """Frames that are nearer are read as fast as they are sought"""
+    """Frames from which on a place in a clip is sought; nearer ones are read as fast as they are sought"""
     reordered_frames: int = 4
     """Frames by which a damaged video's decoder may give pictures too early"""
     break_seconds: float = 1.0
-    """Between two pictures of a clip, from which one is told of"""
+    """Seconds between two pictures of a clip from which the user is told of a break"""
     max_gap_seconds: float = 60.0
-    """Between two pictures of a clip; what is behind a longer gap is another clip"""
+    """Most seconds between two pictures of a clip; what is behind a longer gap is another clip"""
     missing_frames: int = 2
     """Frames by which a header may be wrong about a clip's length, as lengths are rounded"""
     square_pixels: float = 0.005
-    """By which the width of pixels may differ from their height without being meant to"""
+    """Share by which the width of pixels may differ from their height without being meant to"""
     max_animation_pixels: float = 2.5e8
-    """Of all pictures of an animated WebP together, which is decoded at once"""
+    """Most pixels of all pictures of an animated WebP together, which is decoded at once"""
     max_aspect: float = 8.0
-    """Width of pixels by their height, or the other way round, that is believed"""
+    """Greatest ratio of a pixel's width to its height, or the other way round, that is believed"""
     rows_at_once: int = 256
-    """Rows of a picture that are brought to 8-bit RGB together: little memory is needed besides the
+    """Rows of a picture that are brought to 8-bit RGB at once, so that little memory is needed besides the
     picture"""
     exposure_pixels: int = 100_000
-    """Pixels of a picture by which its range is told"""
+    """Number of pixels of a picture by which the range of its values is told"""
     darkest: float = 0.1
     brightest: float = 1.5
-    """Between which the bright parts of a linear picture lie, if its exposure needs no change"""
+    """Least and greatest value, `darkest` and `brightest`, between which the bright parts of a linear picture
+    lie if its exposure needs no change"""
     kept_bytes: int = 30_000_000
-    """Of freed memory that stays the process's own; glibc allows less than 32 MiB"""
+    """Bytes of freed memory that stay the process's own; glibc allows less than 32 MiB"""
     read_ahead_frames: int = 2
-    """Frames; decoding is steady enough that more gain nothing, and each is a whole picture"""
+    """Frames that are decoded ahead; decoding is steady enough that more gain nothing, and each is a whole
+    picture"""
     exif_bytes: int = 1 << 20
-    """EXIF tags stand at a file's beginning"""
+    """Bytes at a file's beginning in which EXIF tags are searched"""
 
 
 MEDIA: Final = MediaSettings()

@@ -22,8 +22,8 @@ from handfit_core.media.headers import PICTURES, Header, begins, read_picture_he
 from handfit_core.media.kinds import unreadable
 
 SMALL_FILE: Final = 10_000_000
-"""Bytes; a smaller input may claim less than a larger one: what it may claim stays below 1 GB in the worker
-and in Blender. That a larger one needs more surprises nobody."""
+"""Bytes below which an input counts as small; it may claim less than a larger one, so that it needs less than
+1 GB in the worker and in Blender. That a larger one needs more surprises nobody."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Limit:
     large_file: float
 
     def of(self, path: Path) -> float:
-        """That of a picture or frame in this file."""
+        """Return the limit, in megapixels, for a picture or frame in this file."""
         return self.small_file if path.stat().st_size < SMALL_FILE else self.large_file
 
     def __str__(self) -> str:
@@ -53,8 +53,8 @@ LONGEST_SIDE: Final = 65_535
 
 
 def common_limit(files: Sequence[Path], max_megapixels: float | None) -> float | Limit | None:
-    """The limit for each of an input's pictures: the one that is given, or that of large files where the
-    pictures are large together. None: each has the limit of its own file."""
+    """Return the limit, in megapixels, for each of an input's pictures: the one that is given, or that of
+    large files where the pictures are large together. None: each has the limit of its own file."""
     if max_megapixels is not None or len(files) < 2:
         return max_megapixels
     left = SMALL_FILE
@@ -98,12 +98,12 @@ def check_for_blender(path: Path, max_megapixels: float | Limit | None = None) -
 
 
 def is_picture(path: Path) -> bool:
-    """True if a file begins as a picture does. Raises InputError where it cannot be read."""
+    """Return True if a file begins as a picture does. Raises InputError where it cannot be read."""
     return _header(path, read_picture_header) is not None
 
 
 def is_video(path: Path) -> bool:
-    """True if a file begins as a video does. Raises InputError where it cannot be read."""
+    """Return True if a file begins as a video does. Raises InputError where it cannot be read."""
     return _header(path, read_video_header) is not None
 
 

@@ -21,19 +21,19 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.settings import MEDIA
 
 SourceKind = Literal["photo", "sequence", "video", "data"]
-"""`data`: hands of another program, to which no pictures belong"""
+"""Kind of an input; `data` means hands of another program, to which no pictures belong"""
 SOURCE_KINDS: Final[tuple[SourceKind, ...]] = ("photo", "sequence", "video", "data")
 
 DEFAULT_FPS: Final = 24.0
 """Frames per second of photos and sequences (Blender's own default) and of videos that name none"""
 
 _MAX_PATHS_CHARS: Final = LONGEST_HEADER - (1 << 16)
-"""Characters of all pictures' paths in a take's header, beside which the rest has room"""
+"""Most characters of all pictures' paths in a take's header, beside which the rest has room"""
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where the pictures came from."""
+    """The files that the pictures came from."""
 
     kind: SourceKind
     files: tuple[str, ...]
@@ -64,7 +64,7 @@ class Source:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One picture of the input."""
+    """One picture of an opened input."""
 
     number: int
     time: float
@@ -92,9 +92,10 @@ class Media:
     """How many frames `frames()` will yield, for progress; a video's own header may lie about it"""
 
     given: str | list[str] | None = None
-    """What it was opened from, with which `open_media` opens it again. None: it cannot be opened again"""
+    """The path, pattern or list of files with which `open_media` opens the input again; None: it cannot be
+    opened again"""
     wanted: Wanted = Wanted()
-    """With which frames and limit it was opened"""
+    """The frames and the size limit with which the input was opened"""
 
     first_and_last: tuple[int, int]
     """Frame numbers that `frames()` begins and ends with, as far as the header tells"""
@@ -125,7 +126,7 @@ class Media:
         return self.numbers(0, self.expected_frames or None)
 
     def limit_threads(self, count: int) -> None:
-        """Read with so many threads at most, since other threads read other frames."""
+        """Read with at most so many threads, since other threads read other frames."""
 
     def close(self) -> None:
         """Release the file. A later read opens it again."""

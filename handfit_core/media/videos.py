@@ -36,17 +36,17 @@ and y' = b x + d y"""
 
 @dataclass(frozen=True)
 class _Form:
-    """How the pictures of a clip become those of a take."""
+    """The way in which the pictures of a clip become those of a take."""
 
     width: int
     height: int
-    """Of the picture with square pixels, before it is turned"""
+    """Height in pixels, with `width` beside it, of the picture with square pixels, before it is turned"""
     orientation: int
-    """EXIF orientation that is undone"""
+    """EXIF orientation, 1-8, that is undone"""
 
     @classmethod
     def of(cls, picture: VideoFrame, aspect: float) -> _Form:
-        """That of a clip's first picture; `aspect` is the width of a pixel by its height."""
+        """Return the form of a clip's first picture; `aspect` is the width of a pixel by its height."""
         width, height = picture.width, picture.height
         if abs(aspect - 1.0) > MEDIA.square_pixels and 1.0 / MEDIA.max_aspect < aspect < MEDIA.max_aspect:
             width, height = round(width * max(aspect, 1.0)), round(height / min(aspect, 1.0))
@@ -60,11 +60,12 @@ class _Form:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the upright picture."""
+        """Width and height in pixels of the upright picture."""
         return (self.height, self.width) if self.orientation >= 5 else (self.width, self.height)
 
     def applied(self, picture: VideoFrame, scaler: Any) -> np.ndarray:
-        """(H, W, 3) uint8 RGB of a picture. `scaler`: PyAV's reformatter, which one thread uses."""
+        """Return a picture as upright (H, W, 3) uint8 RGB. `scaler` is PyAV's reformatter, which one thread
+        uses."""
         # With as many colors as pixels, planes are converted faster, and to the same values.
         wanted = "gbrp" if "444" in picture.format.name else "rgb24"
         picture = scaler.reformat(picture, self.width, self.height, wanted, threads=1)
@@ -73,7 +74,7 @@ class _Form:
 
 
 def _merged(picture: VideoFrame) -> np.ndarray:
-    """(H, W, 3) uint8 RGB of a picture with planes of green, blue and red."""
+    """Return (H, W, 3) uint8 RGB of a picture with planes of green, blue and red."""
     import cv2
 
     def pixels(plane: Any) -> np.ndarray:
@@ -88,9 +89,10 @@ class Video(Media):
     """A video file, read through FFmpeg."""
 
     _reading: tuple[Reading, Iterator[tuple[int, VideoFrame]], int] | None = None
-    """What was read in part: the decoder, its pictures, and the number of the one that it gave last"""
+    """The decoder of a video that was read in part, its pictures, and the frame number of the last one that
+    it gave"""
     _threads = 0
-    """That decode; 0: one a core"""
+    """Number of threads that decode; 0: one a core"""
 
     def __init__(self, path: Path, wanted: Wanted) -> None:
         self._path, self._range, frames = path, wanted.frames, wanted.frames
@@ -138,17 +140,18 @@ class Video(Media):
         self._threads = count
 
     def _frame_count(self, reading: Reading) -> int:
-        """How many frames the clip has by its header; 0 where it tells no length, or more frames than the
-        file has bytes."""
+        """Return how many frames the clip has by its header; 0 where it tells no length, or more frames than
+        the file has bytes."""
         count = round(reading.seconds * self.fps)
         return count if 0 < count <= min(self._path.stat().st_size, MEDIA.max_frame_number) else 0
 
     def numbers(self, first: int = 0, count: int | None = None) -> range:
-        """The numbers of the wanted frames, without an end, since the header's count is not trusted."""
+        """Return the numbers of the wanted frames, without an end, since the header's count is not
+        trusted."""
         return self._range.within(1, sys.maxsize)[first:][:count]
 
     def all_numbers(self) -> range:
-        """The numbers from 1 to the header's count, or without an end where it has none."""
+        """Return the numbers from 1 to the header's count, or without an end where it has none."""
         return range(1, self._count + 1 if self._count else sys.maxsize)
 
     def frames(self, first: int = 0, count: int | None = None, step: int = 1) -> Iterator[Frame]:
@@ -189,7 +192,7 @@ class Video(Media):
             self._warn(reading, number, within=not first or at > 0)
 
     def _warn(self, reading: Reading, last: int, *, within: bool) -> None:
-        """Say what was missing in a video that was read to its end."""
+        """Warn of what was missing in a video that was read to its end."""
         if reading.ended:
             log.warning("%s: %s; the clip is read up to there", self._path, reading.ended)
         elif within and last + MEDIA.missing_frames < self._count:
@@ -203,8 +206,8 @@ class Video(Media):
             log.warning(said, self._path, reading.out_of_order)
 
     def pictures(self, numbers: Sequence[int]) -> Iterator[np.ndarray | None]:
-        """The pictures (H, W, 3) uint8 RGB that are shown on single frames, by increasing number; None for
-        one that cannot be read. Frames that are far apart are sought."""
+        """Yield the pictures (H, W, 3) uint8 RGB that are shown on single frames, by increasing number; None
+        for one that cannot be read. Frames that are far apart are sought."""
         reading = self._opened()
         try:
             following = reading.pictures()

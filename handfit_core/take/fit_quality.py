@@ -28,7 +28,7 @@ its own width; above, a finger or the whole hand is elsewhere."""
 
 @dataclass(frozen=True)
 class Scale:
-    """What errors are told in, and what they are called."""
+    """A scale on which errors are told, with its unit and the bounds of its words."""
 
     title: str
     unit: str
@@ -38,39 +38,40 @@ class Scale:
 
     @property
     def levels(self) -> tuple[float, float, float]:
-        """What is green, yellow and red: a hand that is called poor is yellow at best."""
+        """Errors that are shown as green, yellow and red: a hand that is called poor is yellow at best."""
         return self.good_below, self.fair_below, 2.0 * self.fair_below
 
     def said(self, error: float) -> str:
-        """An error with its unit."""
+        """Return an error as text with its unit."""
         return f"{self.per_unit * error:.1f} {self.unit}"
 
     def quality(self, error: float) -> Quality:
-        """The word for it."""
+        """Return the word for an error: how good the fit is."""
         if error < self.good_below:
             return "good"
         return "fair" if error < self.fair_below else "poor"
 
 
 IN_PICTURE: Final = Scale("Error", "% of the hand", 100.0, GOOD_BELOW, FAIR_BELOW)
-"""For `relative_errors`"""
+"""Scale for `relative_errors`: shares of the hand's length"""
 EXPECTED: Final = Scale("Likely error", "mm", 1000.0, 0.008, DOUBT.doubtful_error)
-"""For `HandTrack.expected_error` of a clip"""
+"""Scale for `HandTrack.expected_error` of a clip: metres, told in millimetres"""
 EXPECTED_OF_STILL: Final = Scale("Likely error", "mm", 1000.0, DOUBT.doubtful_error, 0.022)
 """For `HandTrack.expected_error` of a still, in which much is expected of a small hand and of one seen edge
 on, right or wrong, and no neighbours in time tell them apart. Of 70 hands drawn over their pictures all 31
 below 12 mm are right, as are 14 of 32 from there to 22 mm, and none of 7 beyond; in clips, 10 of 11 frames
 beyond 12 mm are not."""
 NOT_KNOWN: Final = "likely error not known"
-"""What is said instead of hands whose keypoints are of a source for which nobody has measured it"""
+"""Text in place of the likely error, for hands whose keypoints are of a source for which nobody has measured
+it"""
 
 _MIDDLE: Final = [1 + 4 * FINGERS.index("middle") + i for i in range(4)]
-"""The middle finger's keypoints; the first one's parent is the wrist"""
+"""Indices of the middle finger's keypoints; the parent of the first one is the wrist"""
 
 
 def relative_errors(track: HandTrack, intrinsics: Intrinsics) -> np.ndarray:
-    """(T,) the mean distance of the fitted hand's 21 keypoints from the detected ones, as a share of the
-    hand's length in the picture: that of wrist and stretched middle finger, seen from the front where the
+    """Return (T,) the mean distance of the fitted hand's 21 keypoints from the detected ones, as a share of
+    the hand's length in the picture: that of wrist and stretched middle finger, seen from the front where the
     hand is. NaN in frames without a detection."""
     errors = np.full(len(track.detected), np.nan)
     rows = track.detected
@@ -80,8 +81,8 @@ def relative_errors(track: HandTrack, intrinsics: Intrinsics) -> np.ndarray:
 
 
 def view_errors(take: Take, track: HandTrack) -> tuple[float, ...]:
-    """Pixels, in the mean over all detections that a fit took notice of, from the fitted hand's 21 keypoints
-    to the detected ones, view by view; NaN where there is none."""
+    """Return for each view the mean distance in pixels, over all detections that a fit took notice of, from
+    the fitted hand's 21 keypoints to the detected ones; NaN for a view without any."""
     found = [finite_mean(track.reprojection_error[track.detected])]
     numbers = np.asarray(take.frame_numbers)
     moments = (numbers - numbers[0]) / take.fps
@@ -103,39 +104,42 @@ def view_errors(take: Take, track: HandTrack) -> tuple[float, ...]:
 
 
 def length_in_picture(joints: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
-    """(N, 21, 3) keypoints, metres in the camera frame -> (N,) pixels from the wrist to the tip of the
-    stretched middle finger, seen from the front where the hand is."""
+    """Return (N,) the pixels from the wrist to the tip of the stretched middle finger, seen from the front
+    where the hand is, of N hands with keypoints (N, 21, 3) in metres in the camera frame."""
     bones = joints[:, _MIDDLE] - joints[:, [KEYPOINT_PARENTS[point] for point in _MIDDLE]]
     length = np.linalg.norm(bones, axis=-1).sum(axis=-1)
     return intrinsics.fx * length / joints[..., 2].mean(axis=-1)
 
 
 def expected_scale(frames: float) -> Scale:
-    """The scale for `HandTrack.expected_error` of a hand that was seen in so many frames."""
+    """Return the scale for `HandTrack.expected_error` of a hand that was seen in so many frames: the one of a
+    still, or the one of a clip."""
     return EXPECTED if frames > 1 else EXPECTED_OF_STILL
 
 
 def error_is_known(track: HandTrack) -> bool:
-    """True if somebody can tell how far off the hand is likely to be, or how far off it is called goes by the
-    picture, as in older takes. Of a hand that was doubted it is known, though a person has corrected it."""
+    """Return True if somebody can tell how far off the hand is likely to be, or how far off it is called goes
+    by the picture, as in older takes. For a hand that was doubted that is known, though a person has
+    corrected it."""
     expected = track.expected_error
     return expected is None or track.doubtful is not None or bool(np.isfinite(expected).any())
 
 
 def mean_relative_error(track: HandTrack, intrinsics: Intrinsics) -> float | None:
-    """The mean of `relative_errors` over the frames with a detection; None where it has no value."""
+    """Return the mean of `relative_errors` over the frames with a detection; None where it has no value."""
     return finite_mean(relative_errors(track, intrinsics)[track.detected])
 
 
 def mean_expected_error(track: HandTrack) -> float | None:
-    """Metres that the hand is likely to be off, over the frames of which that is told; None: of none."""
+    """Return the metres that the hand is likely to be off, averaged over the frames of which that is told;
+    None where it is told of none."""
     if track.expected_error is None:
         return None
     return finite_mean(track.expected_error[np.isfinite(track.expected_error).all(axis=1)])
 
 
 def finite_mean(errors: np.ndarray) -> float | None:
-    """The mean of (N,) errors; None where there is none that JSON can hold."""
+    """Return the mean of (N,) errors; None where there is no mean that JSON can hold."""
     with np.errstate(over="ignore"):
         mean = float(errors.mean()) if len(errors) else np.nan
     return mean if np.isfinite(mean) else None

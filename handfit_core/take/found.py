@@ -14,35 +14,38 @@ from handfit_core.detect.keypoints import Detections
 
 @array_dataclass
 class FoundRows:
-    """`Detections` of one hand over T frames; NaN in frames without. Arrays that may be None are absent where
-    no frame has them."""
+    """The detections of one hand over T frames, as arrays; NaN in frames without a detection. Arrays that may
+    be None are absent where no frame has them."""
 
     keypoints_2d: np.ndarray = array("T", NUM_KEYPOINTS, 2, finite="detected", sent=np.float32)
-    """pixels"""
+    """(T, 21, 2) pixels: the detected keypoints in the upright picture"""
     detected: np.ndarray = array("T", kind="b")
     score: np.ndarray = array("T", finite="detected", sent=np.float32)
-    """The detector's confidence in this hand, 0..1"""
+    """(T,) the detector's confidence in this hand, 0..1"""
     keypoints_depth: np.ndarray | None = array(
         "T", NUM_KEYPOINTS, finite="detected", sent=np.float32, default=None
     )
-    """pixels: depth of keypoints_2d towards the scene, relative to the wrist; None: an old take lacks it"""
+    """(T, 21) pixels: depth of keypoints_2d towards the scene, relative to the wrist; None: an old take lacks
+    it"""
     world_landmarks: np.ndarray | None = array(
         "T", NUM_KEYPOINTS, 3, finite="detected", sent=np.float32, default=None
     )
-    """metres about the hand's centre, axes as the camera frame's; None: an old take lacks them"""
+    """(T, 21, 3) metres about the hand's centre, along the camera frame's axes; None: an old take lacks
+    them"""
     keypoints_2020: np.ndarray | None = array("T", NUM_KEYPOINTS, 3, sent=np.float32, default=None)
-    """What the landmark network of December 2020 sees: pixels, and depth; NaN where it was not asked"""
+    """(T, 21, 3) pixels x and y, and depth, that the landmark network of December 2020 sees; NaN where it was
+    not run"""
     right_side: np.ndarray | None = array("T", default=None)
-    """Probability that the detector named the true side; NaN where it was not judged"""
+    """(T,) probability that the detector named the true side; NaN where it was not judged"""
     other_side: np.ndarray | None = array("T", kind="b", default=None)
-    """Frames in which the detector named the other side"""
+    """(T,) bool: True for frames in which the detector named the other side"""
     overlapped: np.ndarray | None = array("T", NUM_KEYPOINTS, kind="b", default=None)
-    """Keypoints that lie where another hand is, or that another program did not find (they are guessed) or
-    doubts, and are believed less"""
+    """(T, 21) bool: True for keypoints that lie where another hand is, or that another program did not find
+    (they are guessed) or doubts; they are believed less"""
 
     @classmethod
     def of(cls, hands: Detections, side: Side, count: int) -> FoundRows:
-        """The detections of a hand of that side in `count` frames, at most one in each."""
+        """Lay out the detections of a hand of that side in `count` frames, at most one in each, as arrays."""
 
         def over_time(rows: np.ndarray, nothing: Any = np.nan) -> np.ndarray:
             return scatter(rows, hands.frame, count, nothing)
@@ -62,7 +65,8 @@ class FoundRows:
         )
 
     def detections(self, side: Side) -> Detections:
-        """The inverse, for a hand of that side; depth and world landmarks that are absent are NaN."""
+        """Return these rows as the `Detections` of a hand of that side; depth and world landmarks that are
+        absent become NaN."""
         frame = np.flatnonzero(self.detected)
         named = np.full(len(frame), SIDES.index(side))
         nothing = np.full((len(frame), NUM_KEYPOINTS, 3), np.nan)

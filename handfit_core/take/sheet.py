@@ -26,7 +26,7 @@ from handfit_core.take import HandTrack, Take
 from handfit_core.take.fit_quality import IN_PICTURE, Scale, error_is_known, expected_scale, relative_errors
 
 SUFFIX: Final = ".sheet.jpg"
-"""What the name of a contact sheet ends with"""
+"""Ending of a contact sheet's file name"""
 
 
 @dataclass(frozen=True)
@@ -34,34 +34,36 @@ class SheetSettings:
     """How a contact sheet is laid out, and how hands are drawn on it."""
 
     widest: float = 2.0
-    """The width of a frame on the sheet in heights, at most: what is wider is shown smaller"""
+    """Greatest width of a frame on the sheet, in heights; what is wider is shown smaller"""
     around: float = 1.6
-    """The size of a close-up in sizes of what it shows"""
+    """Size of a close-up, in sizes of the hands that it shows"""
     close: float = 0.6
-    """Part of a picture: close-ups are smaller"""
+    """Share of the picture's size below which a view of the hands counts as a close-up"""
     closest: float = 0.05
-    """Part of a picture: close-ups are no smaller"""
+    """Least size of a close-up, as a share of the picture's size"""
     gap: int = 4
-    """pixels between frames"""
+    """Pixels between frames"""
     ground: int = 46
-    """Brightness of the ground where the footage is gone"""
+    """Brightness, 0..255, of the ground where the footage is gone"""
     finer: int = 2
-    """Samples of a pixel along either axis, for the hands"""
+    """Samples of a pixel along either axis with which the hands are drawn"""
     subpixel: int = 4
-    """bits of the corners' places within a sample"""
+    """Bits by which a triangle's corners are placed within a sample"""
     opacity: float = 0.75
-    """How much of the footage a hand covers; the rest lets its outline be compared"""
+    """Share, 0..1, of the footage that a hand covers; the rest lets its outline be compared"""
     nearest: float = 0.01
-    """metres: what reaches closer to the camera has no outline in its picture"""
+    """Metres from the camera; what reaches closer has no outline in its picture"""
     farthest: int = 1 << 14
-    """samples from the sheet's corner, beyond which a corner of a hand may lie anywhere"""
+    """Distance from the sheet's corner, in samples, beyond which it does not matter where a corner of a hand
+    lies"""
 
 
 SHEET: Final = SheetSettings()
 
 
 _DARK, _LIGHT = np.array([10.0, 40.0, 70.0]), np.array([130.0, 215.0, 255.0])
-"""RGB of the hands from shadow to full light: nothing in a picture of a hand has this blue"""
+"""RGB colours, 0..255, of the hands from shadow to full light: nothing in a picture of a hand has this
+blue"""
 
 
 def write_sheet(
@@ -117,8 +119,8 @@ class _View:
     height: int
 
     def around(self, take: Take, rows: Sequence[int], hands: Sequence[HandTrack]) -> _View:
-        """The part of this one, in its proportions, in which these hands can be seen in all of the rows;
-        itself where that is no much smaller one."""
+        """Cut out the part of this view, in its proportions, that shows these hands in all these rows; return
+        the whole view where that would hardly be closer."""
         joints = [hand.joints_3d[row] for hand in hands for row in rows if hand.present[row]]
         points = np.concatenate([take.intrinsics.project(each) for each in joints] or [np.zeros((1, 2))])
         if not joints or not np.isfinite(points).all():
@@ -133,8 +135,8 @@ class _View:
         return _View(int(left), int(top), int(wide), int(tall))
 
     def cell(self, take: Take, row: int, picture: np.ndarray | None, height: int) -> np.ndarray:
-        """The hands of a row over this part of its picture (H, W, 3), or over plain ground where there is
-        none: (height, W', 3) RGB."""
+        """Draw the hands of a row over this part of its picture (H, W, 3), or over plain ground where there
+        is none; return (height, W', 3) RGB."""
         import cv2
 
         scale = min(height / self.height, SHEET.widest * height / self.width)
@@ -151,7 +153,7 @@ class _View:
 
 
 def _chosen(take: Take, count: int) -> list[int]:
-    """The rows of the T that are shown."""
+    """Return the rows of the take's T frames that are shown on the sheet, at most `count`."""
     scale, errors = _errors(take, take.hands)
     present = np.any([np.zeros(len(errors), dtype=bool), *(hand.present for hand in take.hands)], axis=0)
     rows = np.flatnonzero(present if present.any() else ~present)
@@ -163,7 +165,8 @@ def _chosen(take: Take, count: int) -> list[int]:
 
 
 def _errors(take: Take, hands: Sequence[HandTrack]) -> tuple[Scale, np.ndarray]:
-    """(T,) how far off the worst of these hands is likely to be, and in what; NaN where that is not told."""
+    """Return the scale of errors, and (T,) how far off the worst of these hands is likely to be in each
+    frame, in its unit; NaN where that is not told."""
     unknown = np.full(len(take.frame_numbers), np.nan)
     likely = [hand.expected_error.mean(axis=1) for hand in hands if hand.expected_error is not None]
     shares = [relative_errors(hand, take.intrinsics) for hand in hands]
@@ -172,7 +175,8 @@ def _errors(take: Take, hands: Sequence[HandTrack]) -> tuple[Scale, np.ndarray]:
 
 
 def _footage(take: Take, rows: Sequence[int], max_megapixels: float | None) -> Iterator[np.ndarray | None]:
-    """The picture (H, W, 3) of each of these rows; None where it is gone, unreadable, or not the take's."""
+    """Yield the picture (H, W, 3) of each of these rows; None where it is gone, unreadable, or not the
+    take's."""
     source, numbers = take.source, take.frame_numbers
     found: Iterator[np.ndarray | None] = iter(())
     with contextlib.suppress(HandfitError):
@@ -188,7 +192,7 @@ def _footage(take: Take, rows: Sequence[int], max_megapixels: float | None) -> I
 
 
 def _picture(file: Sequence[str], max_megapixels: float | None) -> np.ndarray | None:
-    """The picture of a file, where there is one that can be read."""
+    """Return the picture (H, W, 3) of a file; None where there is none that can be read."""
     with contextlib.suppress(HandfitError):
         if file and is_file(file[0]):
             return read_picture(Path(file[0]), max_megapixels=max_megapixels)[0]
@@ -196,7 +200,8 @@ def _picture(file: Sequence[str], max_megapixels: float | None) -> np.ndarray | 
 
 
 def _draw_hands(picture: np.ndarray, take: Take, row: int, camera: Intrinsics) -> None:
-    """Draw the hands of a row over a picture (H, W, 3); the camera's pixels are samples."""
+    """Draw the hands of a row over a picture (H, W, 3); the pixels of `camera` are the samples of a finer
+    one."""
     import cv2
 
     finer = np.zeros((SHEET.finer * picture.shape[0], SHEET.finer * picture.shape[1], 4), dtype=np.uint8)
@@ -211,8 +216,8 @@ def _draw_hands(picture: np.ndarray, take: Take, row: int, camera: Intrinsics) -
 
 
 def _draw_hand(finer: np.ndarray, hand: HandTrack, row: int, model: str, camera: Intrinsics) -> None:
-    """Draw the mesh of a hand into RGBA, the farthest triangles first; its skeleton where the model is gone
-    or the mesh reaches behind the camera."""
+    """Draw the mesh of a hand into an RGBA picture, the farthest triangles first; its skeleton where the
+    model is gone or the mesh reaches behind the camera."""
     import cv2
 
     corners = np.empty((0, 3, 3))

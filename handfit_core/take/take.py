@@ -52,19 +52,21 @@ class TakeLimits:
     """What a take may hold, so that reading a file can fill neither the memory nor a scene."""
 
     max_file_bytes: int = 1 << 31
-    """of a take; 10 000 frames of two hands have 20 MB"""
+    """Most bytes of a take's file; 10 000 frames of two hands have 20 MB"""
     max_memory_bytes: int = 400_000_000
-    """bytes that the arrays of a small take may have: 200 000 frames of a hand that is hardly ever seen"""
+    """Most bytes that the arrays of a small take may have: 200 000 frames of a hand that is hardly ever
+    seen"""
     max_packed: int = 50
-    """times the size of a larger file that its arrays may have"""
+    """How many times the size of its file the arrays of a larger take may have"""
     max_error: float = 1e30
-    """pixels: a fit that failed close to the camera may project anywhere that 32 bits can hold"""
+    """Largest error in pixels: a fit that failed close to the camera may project anywhere that 32 bits can
+    hold"""
     min_fps: float = 1e-3
     max_fps: float = 1e6
     max_side: int = 1 << 24
-    """pixels of a picture"""
+    """Most pixels along a side of a picture"""
     max_hands: int = 200
-    """of a take"""
+    """Most hands of a take"""
 
 
 TAKE_LIMITS: Final = TakeLimits()
@@ -79,25 +81,26 @@ class HandTrack(HandMotion):
     """
 
     joints_3d: np.ndarray = array("T", NUM_KEYPOINTS, 3, finite="present")
-    """metres, the fitted model's keypoints in MediaPipe's order"""
+    """(T, 21, 3) metres in the camera frame: the fitted model's keypoints in MediaPipe's order"""
     reprojection_error: np.ndarray = array("T", finite="detected", most=TAKE_LIMITS.max_error)
-    """pixels: mean distance from the projected joints_3d to the detected keypoints"""
+    """(T,) pixels: mean distance from the projected joints_3d to the detected keypoints"""
     detections: Detections
     """What the detector found, at most one in a frame: the columns that `FoundRows` has. Depth and world
     landmarks are NaN in old takes"""
     filled: np.ndarray | None = array("T", kind="b", default=None)
-    """Frames of short gaps, bridged from their neighbours; None: there are none"""
+    """(T,) bool: True for frames of short gaps, bridged from their neighbours; None: there are none"""
     placed: np.ndarray | None = array("T", NUM_KEYPOINTS, 2, default=None)
-    """pixels: where a person has put points; NaN: not a person's; None: none is"""
+    """(T, 21, 2) pixels where a person has put points; NaN for points that nobody has put; None: there are
+    none"""
     touches: np.ndarray | None = array("T", NUM_KEYPOINTS, default=None)
-    """The keypoint that each one touches, as a person says, the larger naming the smaller; 0 stands for the
-    palm; NaN: none; None: none does"""
+    """(T, 21) the number of the keypoint that each one touches, as a person says, the larger naming the
+    smaller; 0 stands for the palm; NaN: it touches none; None: there are no touches"""
     arm: ArmMotion | None = None
-    """The arm that it hangs on; None: there is none, or nobody looked"""
+    """The arm that the hand hangs on; None: there is none, or nobody looked"""
     no_arm: str = ""
-    """Why no arm was found, a sentence; empty: there is one, or nobody looked"""
+    """Sentence that says why no arm was found; empty: there is one, or nobody looked"""
     seen_by: tuple[SeenHand | None, ...] = ()
-    """What each further view of the take saw of it; None: nothing"""
+    """What each further view of the take saw of the hand; None for a view that saw nothing"""
 
     def __post_init__(self) -> None:
         if self.arm is not None and not np.any(self.arm.present):
@@ -141,17 +144,17 @@ class HandTrack(HandMotion):
 
     @cached_property
     def rows(self) -> FoundRows:
-        """`detections` as arrays over the T frames."""
+        """The `detections` as arrays over the T frames."""
         return FoundRows.of(self.detections, self.side, len(self.transl))
 
     @property
     def detected(self) -> np.ndarray:
-        """(T,) bool"""
+        """(T,) bool: True for the frames in which the hand was detected."""
         return self.rows.detected
 
     @property
     def keypoints_2d(self) -> np.ndarray:
-        """(T, 21, 2) pixels, as detected; NaN in other frames."""
+        """(T, 21, 2) pixels of the detected keypoints; NaN in frames without a detection."""
         return self.rows.keypoints_2d
 
     @property
@@ -161,17 +164,17 @@ class HandTrack(HandMotion):
 
     @property
     def added(self) -> bool:
-        """True if a person laid it into the picture: nothing of it was ever detected."""
+        """True if a person laid the hand into the picture: nothing of it was ever detected."""
         return self.placed is not None and not len(self.detections)
 
     @property
     def refinable(self) -> bool:
-        """True if the take holds what fitting again needs."""
+        """True if the take holds all that fitting the hand again needs."""
         return self.rows.world_landmarks is not None
 
     def detections_at(self, rows: np.ndarray) -> Detections:
-        """What the detector found in the frames `rows` (K,) of the T, which count as 0 to K - 1. Raises
-        TakeError unless `refinable`."""
+        """Return what the detector found in the frames `rows` (K,) of the T, which count as 0 to K - 1 in the
+        result. Raises TakeError unless `refinable`."""
         if not self.refinable:
             raise TakeError(
                 f"the {self.side} hand's take was made before takes held what the detector found; capture it "
@@ -181,7 +184,7 @@ class HandTrack(HandMotion):
 
     @property
     def present(self) -> np.ndarray:
-        """(T,) bool: frames with a hand, detected or filled."""
+        """(T,) bool: True for frames with a hand, detected or filled."""
         seen = np.asarray(self.detected, dtype=bool)
         return seen if self.filled is None else seen | np.asarray(self.filled, dtype=bool)
 
@@ -196,24 +199,24 @@ class Take:
     frame_numbers: np.ndarray
     """(T,) int, increasing. Videos and photos count from 1; sequences use the numbers in their names"""
     width: int
-    """pixels, of the upright picture"""
+    """Width of the upright picture in pixels, as `height` is its height"""
     height: int
     intrinsics: Intrinsics
     solver: str
     model: str
     """`open-hand`, or the absolute path of the user's model file or folder"""
     model_digests: Mapping[str, str]
-    """side -> HandModel.digest of the model that was fitted"""
+    """The `HandModel.digest` of the model that was fitted, by side"""
     hands: tuple[HandTrack, ...]
     program: str = ""
     """The program that found the hands, as people call it; empty: a detector of this one"""
     cameras: Cameras | None = None
-    """Where several views of the hands were filmed from; None: there is one view"""
+    """Places of the cameras that filmed several views of the hands; None: there is one view"""
     verdict: Verdict | None = None
-    """How well the views that were given belong together; None: one was given"""
+    """How well the given views belong together; None: only one was given"""
     distortion: tuple[float, float, float, float, float] | None = None
-    """Of the measured lens, as `Lens` has it: what is in the pictures, and taken out of all that was found in
-    them; None: none is known"""
+    """Distortion of the measured lens, as `Lens` has it, which is in the pictures and taken out of all that
+    was found in them; None: none is known"""
 
     def __post_init__(self) -> None:
         numbers = np.asarray(self.frame_numbers)
@@ -278,7 +281,7 @@ class Take:
         return path
 
     def to_bytes(self, compact: bool = True) -> bytes:
-        """The take as the bytes of its file. `compact`: numbers of 32 bits, half the size: pixels and
+        """Return the take as the bytes of its file. `compact`: numbers of 32 bits, half the size: pixels and
         metres are then rounded in their seventh digit."""
         stream = io.BytesIO()
         self._write(stream, compact)
@@ -350,8 +353,8 @@ class Take:
 
     @classmethod
     def from_bytes(cls, data: bytes, where: str = "the take") -> Take:
-        """The inverse of `to_bytes`, compact or not: numbers come back with 64 bits. `where` begins the
-        messages. Raises TakeError for anything that is not a take this version understands."""
+        """Read a take from the bytes of `to_bytes`, compact or not: numbers come back with 64 bits. `where`
+        begins the messages. Raises TakeError for anything that is not a take this version understands."""
         return run_to_completion(cls.reading(data, where))
 
     @classmethod
@@ -439,9 +442,10 @@ def _reading_seen(
 
 
 def chosen(take: Take, hands: str, frames: FrameRange | None, max_hands: int | None) -> Take:
-    """The take's hands of a side ('left' or 'right'; else of both) in frames of those numbers, as many as are
-    wanted, the surest first: those that were seen in most frames, and there with most certainty. Raises
-    OptionError where it has no such frame, NoHandFoundError where no hand is left of those that it has."""
+    """Return a take with its hands of one side ('left' or 'right'; else of both) in frames of these numbers,
+    as many hands as are wanted, the surest first: those that were seen in most frames, and there with most
+    certainty. Raises OptionError where it has no such frame, NoHandFoundError where no hand is left of those
+    that it has."""
     numbers = np.asarray(take.frame_numbers)
     rows = np.flatnonzero([frames is None or int(number) in frames for number in numbers])
     if not len(rows):
@@ -469,7 +473,7 @@ def chosen(take: Take, hands: str, frames: FrameRange | None, max_hands: int | N
 
 
 def at_rows(hand: HandTrack, rows: np.ndarray) -> HandTrack:
-    """A hand over some of its frames, in any order."""
+    """Return a hand over some of its frames, in any order, by their rows."""
     arm = None if hand.arm is None else replace(hand.arm, **_at_rows(hand.arm, rows))
     return replace(hand, arm=arm, detections=hand.detections.at_frames(rows), **_at_rows(hand, rows))
 
@@ -493,7 +497,7 @@ def _source_of(source: Mapping[str, Any]) -> Source:
 
 
 def _view_of(name: str, view: Any) -> dict[str, Any]:
-    """A `View` without its frame numbers."""
+    """Read a further view from a take's header, without its frame numbers."""
     if not isinstance(view, dict):
         raise ValueError(f"{name} must be objects, not {shortly(view)}")
     return {
@@ -512,7 +516,8 @@ def _verdict_of(verdict: Mapping[str, Any]) -> Verdict:
 
 
 def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
-    """A take's fields that its header holds, and `sides`. Raises ValueError, and OptionError for a camera."""
+    """Return the fields of a take that its header holds, and `sides`. Raises ValueError for values that no
+    take has, and OptionError for a camera that cannot be."""
     source, camera, digests = (_object(header, name) for name in ("source", "intrinsics", "model_digests"))
     arms = _object(header, "arms") if "arms" in header else {}
     sides = listed("sides", header.get("sides"), lambda _, side: side)
