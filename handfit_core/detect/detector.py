@@ -127,7 +127,7 @@ class ChunkOfFrames(Protocol):
 
     @property
     def numbers(self) -> list[int]:
-        """Numbers of the chunk's frames in the source: `chunk_frames` of the media, fewer at the clip's end."""
+        """Numbers of the chunk's frames in the source: the media's `chunk_frames`, fewer at the end."""
         ...
 
 
