@@ -24,7 +24,7 @@ from handfit_core.interchange.point_names import KEYS, side_named
 from handfit_core.interchange.settings import LIMITS
 
 _LAST_NUMBER: Final = re.compile(r"\d+(?!.*\d)")
-_LISTS: Final = "frames results data predictions detections annotations instanceinfo".split()
+_LISTS: Final = "frames samples results data predictions detections annotations instanceinfo".split()
 _PICTURES: Final = (".jpg", ".jpeg", ".png", ".bmp")
 
 
