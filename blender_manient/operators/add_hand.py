@@ -43,8 +43,8 @@ class _Mode(view.Overlay):
         self.view = view.CaptureView(viewport, [capture.manient.camera], context)
         self.seen: Any = "back"
         self.ends: np.ndarray | None = None
-        """(2, 2) pixels of the picture: where the wrist and the middle finger's knuckle were laid; None
-        before"""
+        """(2, 2) pixels of the picture: where the wrist and the middle finger's knuckle would lie now; None
+        while the mouse gives no place"""
         self.pressed: np.ndarray | None = None
         """(2,) pixels of the viewport's region: where the mouse was pressed; None while it is not"""
         self.message = ""

@@ -71,7 +71,7 @@ def active_character(context: bpy.types.Context) -> bpy.types.Object | None:
 
 
 def why_not_reachable(armature: bpy.types.Object) -> str | None:
-    """Return why a character cannot get motion at all, a sentence; None where it can."""
+    """Return a sentence that says why a character cannot get motion at present; None where it can."""
     if armature.library is not None or not armature.is_editable:
         return (
             "This character is linked from another file: make a library override of it "

@@ -161,7 +161,8 @@ class AsSource:
     """Feeds motions of one hand shape to the character transfer."""
 
     def __init__(self, model: str, of: HandMotion) -> None:
-        """Prepare for motions of a hand whose shape `of` has. Raises HandModelError."""
+        """Prepare to transfer motions of a hand with the side and shape of the motion `of`. Raises
+        HandModelError."""
         loaded = kept_model(model, of.side)
         self._shaped = loaded.shaped(of.betas)
         self._source = SourceHand.of(self._shaped, of.side, loaded.name)

@@ -48,7 +48,7 @@ class Difference:
     lasts: float
     """Most seconds until the difference is to be taken again"""
     extent: float
-    """Size of the hand in the picture by the network of December 2020, pixels"""
+    """Size of the hand in the picture in pixels, as the network of December 2020 sees it"""
     shape: np.ndarray
     """(21, 2) the points by the network of December 2020 about their mean, in sizes of the hand"""
     keypoints: np.ndarray

@@ -58,8 +58,8 @@ def solve_bordered(
 
 
 def solve_band(band: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solve a positive definite banded system with matrix `band` in LAPACK's lower form, which is
-    overwritten, and return the solution."""
+    """Solve a positive definite banded system with matrix `band` in LAPACK's lower form, and
+    return the solution. Both arrays are overwritten."""
     from scipy.linalg import solveh_banded  # slow to load
 
     return solveh_banded(band, right, overwrite_ab=True, overwrite_b=True, lower=True, check_finite=False)

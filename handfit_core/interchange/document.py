@@ -442,7 +442,8 @@ _NAMED: Final = (
     ("root_orient pose_body", "a body of SMPL without hands"),
     ("pose_world trans_world", "a body of SMPL without hands"),
 )
-"""The arrays or keys by which files are told whose hands no reader knows"""
+"""Names of arrays or keys that identify kinds of file that cannot be read, and what to tell the user about
+each"""
 
 
 def _damage(text: str) -> str:

@@ -111,7 +111,7 @@ class ManoLayout:
 
     @property
     def reader(self) -> Reader:
-        """The reader of files in this layout, or in one of the program's others."""
+        """The reader of files in this layout or in one of its alternatives, `also`."""
         layouts = (self, *self.also)
 
         def read(document: Document, asked: ReadOptions) -> Recording:
