@@ -45,7 +45,7 @@ class CleanHand:
 NEAR = 1e-5
 """metres from its rest place within which a bone stays in it to the eye"""
 _STILL = 1e-7
-"""Share of the rig's size below which a bone's change of location or scale counts as none, and gets no keys"""
+"""Share of the rig's size below which a bone's change of location or scale counts as none"""
 
 
 @contextlib.contextmanager

@@ -343,8 +343,8 @@ def model_of(settings) -> str | None:
 
 
 def lens_of(settings, scene: bpy.types.Scene) -> Lens | tuple[float, float, float] | None:
-    """Return the lens chosen in the settings, as `CaptureOptions` take it; None where the capture is to find it
-    itself. Raises HandfitError."""
+    """Return the lens chosen in the settings, as `CaptureOptions` take it; None where the capture is to find
+    it itself. Raises HandfitError."""
     if settings.camera == "LENS":
         if not settings.measured_lens:
             raise OptionError("choose the measured lens, or measure one, or choose another camera setting")
