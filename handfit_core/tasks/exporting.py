@@ -177,7 +177,10 @@ class Exporters(Workers):
     def _answer(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
         """Have a Blender make files; returns what it says that it has made. Raises ProcessDied, and
         TimeoutError once it was ended."""
-        child = self._idle.pop() if self._idle else self._start()
+        try:  # Another thread may take the last idle one.
+            child = self._idle.pop()
+        except IndexError:
+            child = self._start()
         self._busy.append(child)
         assert child.stdin is not None
         assert child.stdout is not None
