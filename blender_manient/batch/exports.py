@@ -64,7 +64,7 @@ class Exports:
         OptionError."""
         given = {name: getattr(args, name) for name in _GIVEN}
         character = Character.of_arguments(args)
-        asked = (args.format or "blend,glb").split(",")
+        asked = ("blend,glb" if args.format is None else args.format).split(",")
         formats = [text for each in asked if (text := each.strip().lower().lstrip("."))]
         can = [name for name, e in EXPORTERS.items() if e.writes != "captured" and not e.why_not()]
         for name in formats:

@@ -79,6 +79,13 @@ def test_a_take_becomes_files_and_the_addon_stays(take_file, tmp_path, capfd):
     assert hand_of(armature).take.frame_numbers.tolist() == Take.load(take_file).frame_numbers.tolist()
 
 
+def test_no_format_makes_no_file_of_a_take(take_file, tmp_path, capfd):
+    arguments = ["capture", str(take_file), "--output", str(tmp_path / "out"), "--format", "", "--no-sheet"]
+    assert command.main(arguments) == 0
+    assert [entry["files"] for entry in report(tmp_path)] == [["wave/wave.take.npz"]]
+    assert "exported" not in capfd.readouterr().out
+
+
 def test_the_python_is_the_preferences_unless_an_option_names_one(tmp_path, capfd):
     (tmp_path / "a.jpg").write_bytes(b"\xff\xd8\xff")
     preferences.get().python = str(tmp_path / "preferred-python")
