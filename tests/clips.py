@@ -33,16 +33,18 @@ def written_clip(
     orientation: int = 1,
     aspect: Fraction | None = None,
     trimmed: int = 0,
+    group: int = 250,
 ) -> Path:
     """Write pictures (H, W, 3) uint8 RGB at `times`, in frames of 25 a second; None: one a frame. `aspect` is
     the width of a pixel by its height, and `orientation` is EXIF's, which an MP4's display matrix tells. Its
-    edit list hides the first `trimmed` frames."""
+    edit list hides the first `trimmed` frames. Every picture after `group` others is decoded without them."""
     import av
 
     height, width = pictures[0].shape[:2]
     formats = {"gif": "rgb8", "apng": "rgb24", "mjpeg": "yuvj444p", "prores_ks": "yuv422p10le"}
     finer = 1 if times is None else 600
     options = {"crf": "1"} if codec.startswith("libx26") else {}
+    options |= {"g": str(group)}
     with av.open(str(path), "w") as output:
         stream: Any = output.add_stream(codec, rate=_RATE, options=options)
         stream.width, stream.height, stream.pix_fmt = width, height, formats.get(codec, "yuv420p")

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext
+from itertools import pairwise
 from queue import SimpleQueue
 from threading import Event
 from typing import Final
@@ -18,6 +19,9 @@ from handfit_core.media.source import Media
 
 MAX_THREADS: Final = 8
 """Most threads unless more are asked for: each decodes the video for itself, and more would do little else"""
+MAX_RUN: Final = 3
+"""Most chunks that a thread detects one after another: a run is longer than most encoders' distance between
+two pictures that are decoded without others, and short enough that little is lost where a clip is stopped"""
 
 
 def detect_chunks(
@@ -54,10 +58,10 @@ def _in_threads(
     on_progress: Callable[[int], None],
     should_stop: Callable[[], bool],
 ) -> list[Part]:
-    indices = itertools.count()
+    runs = _runs(-(-detector.media.expected_frames // detector.media.chunk_frames), count)
     found: dict[int, Part] = {}
-    ended = Event()
-    """Set once a thread has seen the clip's end, or was stopped"""
+    ends: list[int] = []
+    """Indices of chunks that are shorter than others, as the clip ends in them"""
     stopped = Event()
     events: SimpleQueue[Future[None] | None] = SimpleQueue()
     """None for each frame that is done, and each thread's future once it has ended"""
@@ -67,13 +71,12 @@ def _in_threads(
             own.single_threaded()
             # More would only wait for each other.
             own.media.limit_threads(max(1, usable_threads() // count))
-            while not ended.is_set():
-                index = next(indices)
-                if number > 0 and 0 < detector.media.expected_frames <= index * detector.media.chunk_frames:
-                    return  # the first thread sees whether the header tells the truth
+            for index in itertools.chain.from_iterable(runs):
+                if stopped.is_set() or any(index > end for end in ends):
+                    return
                 found[index] = own.chunk(index, lambda _: events.put(None), stopped.is_set)
                 if len(found[index].numbers) < detector.media.chunk_frames:
-                    ended.set()
+                    ends.append(index)
 
     with ThreadPoolExecutor(count, "handfit-detect") as pool:
         running, done = set[Future[None]](), 0
@@ -91,16 +94,28 @@ def _in_threads(
                     event.result()
                 if should_stop():
                     stopped.set()
-                    ended.set()
         finally:
             stopped.set()
-            ended.set()
     chunks: list[Part] = []
     while (chunk := found.get(len(chunks))) is not None:
         chunks.append(chunk)
         if len(chunk.numbers) < detector.media.chunk_frames:
             break
     return [chunk for chunk in chunks if chunk.numbers]
+
+
+def _runs(chunks: int, threads: int) -> Iterator[Iterable[int]]:
+    """Deal the indices of so many chunks (0: unknown) out in runs, each of which one thread takes. The last
+    run has no end, as a header may name too few frames."""
+    if not chunks:
+        return zip(itertools.count())  # runs of one
+    firsts: list[int] = []
+    left = range(chunks)
+    while left:
+        length = min(MAX_RUN, -(-len(left) // threads))
+        firsts += left[: threads * length : length]
+        left = left[threads * length :]
+    return iter([*itertools.starmap(range, pairwise(firsts)), itertools.count(firsts[-1])])
 
 
 def _reopened(media: Media) -> Media:

@@ -85,9 +85,20 @@ class Reading:
         that was done."""
         raise NotImplementedError
 
+    def _beginnings(self) -> list[int]:
+        """Return the time stamps of the pictures that can be decoded without others, as far as the container
+        has an index."""
+        return []
+
     def close(self) -> None:
         """Release the file."""
         raise NotImplementedError
+
+    def begins_between(self, after: int, number: int) -> bool:
+        """Return True if the container's index has a place behind frame `after` from which frame `number` can
+        be decoded."""
+        low, high = self._stamp(after), self._stamp(number - MEDIA.reordered_frames)
+        return any(low < stamp - self.start <= high for stamp in self._beginnings())
 
     def _stamp(self, number: int) -> int:
         """Return the time stamp that frame `number`, counted from 1, stands for, in the stream's units from
@@ -145,7 +156,8 @@ class Reading:
     def sought(self, number: int) -> Iterator[tuple[int, VideoFrame]]:
         """Yield what `pictures` does, from a picture on that is shown on frame `number` or before it, as the
         container's index has it."""
-        for stamp in (self._stamp(number), 0):
+        # An index has the times of decoding, which are earlier than those of showing.
+        for stamp in (self._stamp(max(1, number - MEDIA.reordered_frames)), 0):
             if self._seek(self.start + stamp):
                 following = self.pictures(first=number)
                 if (begun := next(following, None)) is not None and begun[0] <= number:
@@ -200,6 +212,13 @@ class _File(Reading):
                 return
             with contextlib.suppress(FFmpegError):
                 yield from packet.decode()
+
+    def _beginnings(self) -> list[int]:
+        if (
+            self._container.format.name == "mpeg"
+        ):  # its index is of packets, and pictures begin anywhere in them
+            return []
+        return [entry.timestamp for entry in self._stream.index_entries if entry.is_keyframe]
 
     def _seek(self, stamp: int) -> bool:
         try:

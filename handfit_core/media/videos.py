@@ -158,7 +158,8 @@ class Video(Media):
         """Yield the frames in order, see `Media`; warns of a video that breaks off.
 
         A frame on which the picture before is shown again has no picture. Frames behind those that were read
-        last are found by reading on, others by reading from the beginning.
+        last are found by reading on, or from a nearer place that the container's index has; others by reading
+        from the beginning.
         """
         wanted = self.numbers(first, count)[::step]
         if not wanted:
@@ -171,6 +172,8 @@ class Video(Media):
             reading = self._opened()
             kept = reading, reading.pictures(), 0
         reading, pictures, number = kept
+        if reading.begins_between(number, wanted[0]):
+            pictures = reading.sought(wanted[0])
         at, ended = 0, True
         try:
             for number, picture in pictures:

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +84,28 @@ def test_any_number_of_threads_finds_the_same(clip, alone):
     parts = [detect_frames(open_media(clip, each.frames), each) for each in some]
     assert parts[0].numbers == list(range(31, 91, 2))
     assert_same(*parts)
+
+
+@pytest.mark.parametrize("claimed", [0, 30, 1000])
+def test_a_header_that_is_wrong_about_the_length(clip, alone, claimed):
+    media = open_media(clip, DRAFT.frames)
+    # Chunks stay as long as they are.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(type(media), "chunk_frames", media.chunk_frames)
+        media.expected_frames = claimed
+        assert_same(detect_frames(media, replace(DRAFT, processes=2)), alone)
+
+
+def test_runs_are_even_and_bounded():
+    def dealt(chunks: int, threads: int) -> list[int]:
+        """The first chunks of the runs."""
+        return [next(iter(run)) for run in islice(sharing._runs(chunks, threads), 8)]
+
+    assert dealt(6, 2) == [0, 3]
+    assert dealt(10, 2) == [0, 3, 6, 8]
+    assert dealt(4, 4) == [0, 1, 2, 3]
+    assert dealt(100, 2) == [0, 3, 6, 9, 12, 15, 18, 21]
+    assert dealt(0, 2) == list(range(8))
 
 
 def test_an_error_in_another_thread_is_raised_here(tmp_path, monkeypatch):

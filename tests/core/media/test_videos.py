@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from handfit_core.common.errors import InputError
+from handfit_core.media.decoding import Reading
 from handfit_core.media.exif import upright
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
@@ -185,6 +186,38 @@ def test_single_pictures_are_those_that_are_shown(tmp_path, monkeypatch, sought)
             assert picture is None
         else:
             assert np.array_equal(picture, true[number])
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "sought"),
+    [
+        ("a.mp4", "libx264", True),
+        ("a.mov", "libx265", True),
+        ("a.avi", "mpeg4", True),
+        ("a.ts", "libx264", False),
+        ("a.mpg", "mpeg2video", False),
+    ],
+)
+def test_a_place_in_the_index_is_nearer(tmp_path, monkeypatch, name, codec, sought):
+    """What is read from there is what reading on gives; files without an index are read on."""
+    seeks: list[int] = []
+    seeking = Reading.sought
+    monkeypatch.setattr(Reading, "sought", lambda self, number: seeks.append(number) or seeking(self, number))
+    times = [n + n // 30 for n in range(60)]
+    path = written_clip(
+        tmp_path / name,
+        [grey(n) for n in range(60)],
+        codec=codec,
+        times=times if codec != "mpeg2video" else None,
+        group=12,
+    )
+    true = list(open_media(path).frames())
+    media = open_media(path)
+    for first, count in (10, 3), (15, 6), (29, 10), (52, 3):
+        for frame, same in zip(media.frames(first, count), true[first : first + count], strict=True):
+            assert (frame.number, frame.time) == (same.number, same.time)
+            assert np.array_equal(frame.rgb, same.rgb)
+    assert (53 in seeks, bool(seeks)) == (sought, sought)
 
 
 def test_a_size_that_changes_on_the_way(tmp_path, caplog):
