@@ -27,6 +27,13 @@ def usable_cores(root: Path = Path("/")) -> int:
     return max(1, min([cores, *(math.ceil(quota) for quota in _quotas(root))]))
 
 
+def usable_threads() -> int:
+    """Return how many threads may compute at the same time: one a core, or fewer by OMP_NUM_THREADS."""
+    limit = os.environ.get("OMP_NUM_THREADS", "")
+    cores = usable_cores()
+    return max(1, min(cores, int(limit) if limit.isdecimal() else cores))
+
+
 def free_memory(root: Path = Path("/")) -> float | None:
     """Return how many bytes of memory this process and its children may still take; None where the system
     does not tell."""

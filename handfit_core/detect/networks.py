@@ -12,11 +12,13 @@ from __future__ import annotations
 import os
 import sys
 import zipfile
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, Final, Self, TypeVar
@@ -24,8 +26,8 @@ from typing import Any, Final, Self, TypeVar
 import numpy as np
 
 from handfit_core.common.errors import LandmarkModelError
+from handfit_core.common.machine import usable_threads
 from handfit_core.common.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, SIDES
-from handfit_core.common.threads import in_pool, usable_threads
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import Quality
 from handfit_core.detect.keypoints import Detections
@@ -278,7 +280,20 @@ class Networks(Runner):
             self._pool = ThreadPoolExecutor(self.threads, "handfit-networks")
             for networks in (self, *[None] * (self.threads - 1)):
                 self._idle.put(networks)
-        yield from in_pool(self._pool, lambda item: self._call(function, item), items, 2 * self.threads)
+        waiting = iter(items)
+
+        def begun(count: int) -> Iterator[Future[Result]]:
+            return (pool.submit(self._call, function, item) for item in islice(waiting, count))
+
+        pool = self._pool
+        futures = deque(begun(2 * self.threads))
+        try:
+            while futures:
+                yield futures.popleft().result()
+                futures.extend(begun(1))
+        finally:
+            for future in futures:
+                future.cancel()
 
     def _call(self, function: Callable[[Networks, Item], Result], item: Item) -> Result:
         """Call a function with an item and with networks that no other thread uses meanwhile."""

@@ -11,7 +11,7 @@ from queue import SimpleQueue
 from threading import Event
 from typing import Final
 
-from handfit_core.common.threads import usable_threads
+from handfit_core.common.machine import usable_threads
 from handfit_core.detect.detector import InChunks, Part
 from handfit_core.media.opening import open_media
 from handfit_core.media.settings import MEDIA
@@ -19,7 +19,7 @@ from handfit_core.media.source import Media
 
 MAX_THREADS: Final = 8
 """Most threads unless more are asked for: each decodes the video for itself, and more would do little else"""
-MAX_RUN: Final = 3
+MAX_RUN: Final = 4
 """Most chunks that a thread detects one after another: a run is longer than most encoders' distance between
 two pictures that are decoded without others, and short enough that little is lost where a clip is stopped"""
 

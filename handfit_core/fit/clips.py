@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handfit_core.common.batch import slices
-from handfit_core.common.threads import in_threads
 from handfit_core.fit.banded import put_lower, solve_band, solve_windows
 from handfit_core.fit.blocks import Blocks
 from handfit_core.fit.levenberg import CoupledFrames, solve
@@ -65,13 +64,10 @@ class ClipProblem(CoupledFrames):
         cost with that of the accelerations about it."""
         self.before_each()
         free = replace(self.frames, fixed=None)
-
-        @np.errstate(all="ignore")
-        def systems(rows: slice) -> Blocks:
-            return free.select(rows).blocks(state.select(rows))
-
-        batches = list(slices(len(state), SOLVER.solve_batch))
-        blocks = Blocks.collect(len(state), in_threads(systems, batches))
+        batches = slices(len(state), SOLVER.solve_batch)
+        blocks = Blocks.collect(
+            len(state), (free.select(rows).blocks(state.select(rows)) for rows in batches)
+        )
         if self.observed is not None:
             for _, values in blocks._rows():
                 values[~self.observed] = 0.0

@@ -10,7 +10,6 @@ import numpy as np
 
 from handfit_core.common.batch import scatter, slices
 from handfit_core.common.skeleton import NUM_BETAS
-from handfit_core.common.threads import in_threads
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import Detections, Track
 from handfit_core.fit.clips import ClipProblem, MotionPrior, smooth_clip
@@ -145,11 +144,11 @@ class FastFitter:
         corrected = any(each is not None for each in (seen.pinned, seen.touches, seen.grip))
         tolerance = SOLVER.pinned_tolerance if corrected else SOLVER.tolerance
 
-        def solved(rows: slice) -> Solution:
-            return solve(problem.select(rows), start.select(rows), max_iterations=most, tolerance=tolerance)
-
-        batches = list(slices(len(start), SOLVER.solve_batch))
-        return Solution.collect(len(start), in_threads(solved, batches))
+        solutions = (
+            solve(problem.select(rows), start.select(rows), max_iterations=most, tolerance=tolerance)
+            for rows in slices(len(start), SOLVER.solve_batch)
+        )
+        return Solution.collect(len(start), solutions)
 
     def solve_solid(
         self, seen: Observation, plain: Solution, times: Times | None = None, fixed: FixedJoints | None = None

@@ -24,9 +24,8 @@ class SolverSettings:
     same in all"""
     chunk_frames: int = 512
     """Number of frames that are fitted between two chances to stop; it bounds the memory"""
-    solve_batch: int = 128
-    """Number of frames whose matrices are made, or that are solved, at once in a thread; it bounds the
-    memory, and arrays of so many fit into the processor's cache"""
+    solve_batch: int = 256
+    """Number of frames whose matrices are made, or that are solved, at once; it bounds the memory"""
     clip_iterations: int = 8
     clip_min_gain: float = 3e-3
     """Relative decrease of the total cost after which a step was the last"""
