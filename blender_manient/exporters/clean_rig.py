@@ -63,8 +63,8 @@ def clean_rig(
     `metres_per_unit` is the artist's scene's. The preset's rotation is done to the data and undone by the
     object. `apart` is that of the exporter. The hand must be in that scene, which has the copy instead
     afterwards; its names are lent to the copy. When this context ends the copy is gone. A character's mesh
-    that a bone carries is deformed by that bone alone in the copy; one that no bone of the copy moves has
-    keys of its own, and no parent, where it moves.
+    that a bone carries is deformed by that bone alone in the copy; one that no bone of the copy moves, and
+    what a captured hand holds, has keys of its own, and no parent, where it moves.
     """
     scene, units, turned = bpy.context.scene, preset.units, np.eye(4)
     if preset.turn is not None:
@@ -93,7 +93,7 @@ def clean_rig(
     lent = [o for o in originals if o.library is None]  # linked ones keep theirs, which are no file's names
     for original in lent:
         original.name = f"{original.name} (source)"
-    copies = [_copy(original, scene) for original in originals]
+    copies = [_copy(o, scene) if tree or o not in places else _solid(o, scene) for o in originals]
     actions = []
     try:
         armature = copies[0]
@@ -160,6 +160,15 @@ def _copy(original: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Objec
     obj.delta_location, obj.delta_scale = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
     obj.delta_rotation_quaternion = (1.0, 0.0, 0.0, 0.0)
     obj.hide_viewport = obj.hide_render = False
+    scene.collection.objects.link(obj)
+    return obj
+
+
+def _solid(original: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Object:
+    """Return a mesh object of the shape that an object of any type shows now, that nothing moves."""
+    shown = original.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    obj = bpy.data.objects.new(original.name, bpy.data.meshes.new_from_object(shown))
+    obj.rotation_mode = "QUATERNION"
     scene.collection.objects.link(obj)
     return obj
 

@@ -1,8 +1,8 @@
 """Writing hands and characters to files of other programs: only their armatures and meshes, over a range of
 frames. Of a character's armature a file has the bones that deform, with a key on every frame.
 
-What else hangs on a hand (rings, gloves, other objects) is never written: it is no part of the hand, and
-programs that take the skeleton over would deform it wrongly.
+What a hand holds is written as a mesh beside it, with a key on every frame. What else it deforms, such as
+gloves, is not: programs that take the skeleton over would deform it wrongly.
 
 Presets say what a program expects of a format beyond Blender's habits:
 
@@ -42,6 +42,7 @@ from ..scene.characters import CharacterObjects
 from ..scene.mesh import IN_RENDERS
 from ..scene.own_scene import object_mode, own_scene, shown_in_pose, unseen_scene, with_values
 from ..scene.proof import prove_whole
+from ..scene.store import is_deformed_by
 from ..scene.timing import set_timing
 from . import EXPORTERS, PRESETS, find_exporter
 from .clean_rig import clean_rig
@@ -132,10 +133,11 @@ def export_hands(
     presets = [name for name, *_ in PRESETS]
     if preset not in presets:
         raise OptionError(f"there is no export preset {preset!r}; choose from {', '.join(presets)}")
-    # Only hands of scenes in metres, without controls and arms, which nothing carries, are as they should be
-    # in the file.
+    # Only hands of scenes in metres, without controls and arms, which nothing carries and which hold nothing,
+    # are as they should be in the file.
     rigged = any(control_bones(h.armature) or has_arm(h.armature) or _is_carried(h.armature) for h in hands)
-    plain = np.isclose(stage.metres_per_unit, 1.0) and not rigged
+    holding = not all(is_deformed_by(mesh, h.armature) for h in hands for mesh in h.meshes)
+    plain = np.isclose(stage.metres_per_unit, 1.0) and not (rigged or holding)
     wanted = chosen.presets.get(preset, Preset(clean=not plain))
     if _is_character(hands):
         wanted = replace(wanted, clean=chosen.bakes)

@@ -36,7 +36,8 @@ class HandObjects(Protocol):
 
     @property
     def meshes(self) -> Sequence[bpy.types.Object]:
-        """Return the meshes that the armature deforms; none where the artist deleted a hand's."""
+        """Return the meshes that the armature deforms, none where the artist deleted a hand's, and what else
+        is written with it."""
         ...
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from ..scene.characters import CharacterObjects, active_character, why_not_writt
 from ..scene.editable import why_not_readable
 from ..scene.keys import read_pose_keys
 from ..scene.store import CapturedHand, attached_objects, captured_hands, hand_of
-from ..session.properties import EXPORT_FORMATS
+from ..session.properties import EXPORT_FORMATS, has_surface
 from .base import NO_CHARACTER, HandOperator, ManientOperator, polled_character, polled_hand
 
 _OF_HANDS = "holds captured hands, no characters"
@@ -202,32 +203,51 @@ class MANIENT_OT_export_hand(_ExportOperator, HandOperator, bpy.types.Operator):
     active_only: bpy.props.BoolProperty(
         name="Active Hand Only", description="Leave out the other hands of the capture", default=False
     )
+    held: bpy.props.BoolProperty(
+        name="Held Objects",
+        description="Write what hangs on the hands as it is, by Grip, a parent or a Child Of constraint",
+        default=True,
+    )
 
     def _title(self, context):
         return polled_hand(context).collection.name
 
     def _draw_own(self, layout):
         layout.prop(self, "active_only")
+        if self._exporter.writes == "hands":
+            layout.prop(self, "held")
 
     def _left_out(self, chosen):
-        others = [o.name for hand in chosen for o in attached_objects(hand)]
+        written = [o for hand in chosen for o in hand.held]
+        others = dict.fromkeys(o.name for hand in chosen for o in attached_objects(hand) if o not in written)
         if not others or self._exporter.writes != "hands":
             return ""
-        return f" without {', '.join(others)}: only hands are exported, not what hangs on them"
+        return (
+            f" without {', '.join(others)}: of what hangs on hands only objects that they hold are exported"
+        )
 
     def _chosen(self, context) -> list[CapturedHand]:
         active = polled_hand(context)
-        if self.active_only:
-            return [active]
-        found = [hand_of(armature) for armature in captured_hands(context.scene)]
         own = {active.index: active}
-        for hand in found:
+        for hand in map(hand_of, () if self.active_only else captured_hands(context.scene)):
             if hand is not None and hand.collection == active.collection:
                 own.setdefault(hand.index, hand)  # copies of a hand are left out
-        return [own[index] for index in sorted(own)]
+        wanted = self.held and self._exporter.writes == "hands"
+        holders = {o: index for index, hand in own.items() if wanted for o in _held(hand)}
+        held = {index: tuple(o for o in holders if holders[o] == index) for index in own}
+        return [replace(own[index], held=held[index]) for index in sorted(own)]
 
     def _keyed(self, chosen: Any) -> list[float]:
         return [f for hand in chosen for f in read_pose_keys(hand.rig).frames.tolist()]
+
+
+def _held(hand: CapturedHand) -> Iterator[bpy.types.Object]:
+    """Yield the objects that hang on a hand, or on what hangs on it, and that renders show, but for those
+    that an armature deforms."""
+    for held in attached_objects(hand):
+        for o in (held, *held.children_recursive):
+            if has_surface(o) and not o.hide_render and all(m.type != "ARMATURE" for m in o.modifiers):
+                yield o
 
 
 class MANIENT_OT_export_character(_ExportOperator, bpy.types.Operator):

@@ -68,11 +68,13 @@ class CapturedHand:
     index: int
     """the hand's index in `take.hands`"""
     side: Side
+    held: tuple[bpy.types.Object, ...] = ()
+    """Objects that are to be exported with the hand"""
 
     @property
     def meshes(self) -> tuple[bpy.types.Object, ...]:
-        """Return the mesh objects that exporters write beside the hand's bones."""
-        return () if self.mesh is None else (self.mesh,)
+        """Return the objects that exporters write beside the hand's bones."""
+        return self.held if self.mesh is None else (self.mesh, *self.held)
 
     @property
     def rig(self) -> Rig:

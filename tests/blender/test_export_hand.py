@@ -367,6 +367,58 @@ def test_what_hangs_on_a_hand_stays_behind(hands, tmp_path, capfd):
 
 @pytest.mark.parametrize(
     ("fmt", "preset"),
+    [("fbx", "PLAIN"), ("glb", "PLAIN"), ("usd", "PLAIN"), ("abc", "PLAIN"), ("fbx", "UNREAL")],
+)
+@pytest.mark.parametrize("by", ["constraint", "bone"])
+def test_what_a_hand_holds_comes_back_in_it(hands, tmp_path, fmt, preset, by):
+    made, built = hands
+    armature = built.hands[-1].armature
+    frames = [frame for _, frame in made.seen]
+    bpy.ops.mesh.primitive_cone_add(vertices=5, radius1=0.03, depth=0.2, location=(0.3, 0.2, 0.1))
+    held = bpy.context.object
+    held.name = held.data.name = "stick in hand"
+    held.scale = (1.0, 1.5, 2.0)
+    held.modifiers.new("Thick", "SOLIDIFY").thickness = 0.01
+    bone = bone_names("right")[0]
+    if by == "bone":
+        held.parent, held.parent_type, held.parent_bone = armature, "BONE", bone
+    else:
+        child = held.constraints.new("CHILD_OF")
+        child.target, child.subtarget = armature, bone
+        for frame, influence in ((frames[2] - 1, 0.0), (frames[2], 1.0)):
+            child.influence = influence
+            child.keyframe_insert("influence", frame=frame)
+    # Either hand holds it, and a file has it once.
+    held.constraints.new("CHILD_OF").target = built.hands[0].armature
+    held.constraints[-1].influence = 0.0
+    bpy.context.view_layer.objects.active = armature
+    bpy.context.scene.frame_start, bpy.context.scene.frame_end = frames[0], frames[-1]
+
+    def shown():
+        places = {}
+        for frame in frames:
+            bpy.context.scene.frame_set(frame)
+            (found,) = [o for o in bpy.data.objects if o.type == "MESH" and o.name.startswith("stick")]
+            places[frame] = evaluated_vertices(found)
+        return places
+
+    before, now = shown(), snapshot()
+    assert np.ptp([p.mean(0) for p in before.values()], axis=0).max() > 0.01, "it moves"
+    ending, options = EXPORTERS[fmt].suffix, {"file_format": fmt, "preset": preset}
+    path = write(tmp_path / f"a{ending}", **options)
+    assert snapshot() == now
+    assert b"stick" not in write(tmp_path / f"b{ending}", **options, held=False).read_bytes()
+    read_back(path)
+    after = shown()
+    for frame, expected in before.items():
+        away = np.linalg.norm(expected[:, None] - after[frame], axis=-1)
+        assert max(away.min(0).max(), away.min(1).max()) < 1e-4
+    if fmt in ("fbx", "glb"):
+        assert joint_error(made) < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("fmt", "preset"),
     [(fmt, "PLAIN") for fmt in ("npz", "fbx", "glb", "abc")] + [("fbx", "UNREAL"), ("glb", "UNITY")],
 )
 def test_hidden_hands_at_rest_are_written_as_they_move(hands, tmp_path, fmt, preset):
