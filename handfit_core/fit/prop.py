@@ -185,10 +185,12 @@ def _beside(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
     least, within, found = np.full(points.shape[:-1], np.inf), True, np.zeros_like(points)
     for k in range(3):
         side, off = corners[..., k - 2, :] - corners[..., k, :], points - corners[..., k, :]
-        (sx, sy), (x, y) = np.moveaxis(side, -1, 0), np.moveaxis(off, -1, 0)
+        sx, sy, x, y = side[..., 0], side[..., 1], off[..., 0], off[..., 1]
         along = np.minimum(np.maximum((x * sx + y * sy) / np.maximum(sx * sx + sy * sy, 1e-30), 0.0), 1.0)
-        off = off - along[..., None] * side
-        squared = off[..., 0] ** 2 + off[..., 1] ** 2
+        turned = sx * y - sy * x
+        off -= along[..., None] * side
+        squared = x * x + y * y
         found = np.where((squared < least)[..., None], off, found)
-        least, within = np.minimum(least, squared), within & (sx * y - sy * x >= 0.0)
+        within = within & (turned >= 0.0)
+        least = np.minimum(least, squared)
     return np.where(np.asarray(within)[..., None], 0.0, found)
