@@ -12,7 +12,6 @@ from handfit_core.edit import pins as pinning
 from handfit_core.edit.hand import Prop, RefineHand
 from handfit_core.edit.settings import EDITS, GRIPS
 from handfit_core.edit.solving import (
-    cheapest,
     check_stop,
     chunks_of,
     fixed_at,
@@ -21,7 +20,7 @@ from handfit_core.edit.solving import (
     with_fixed,
 )
 from handfit_core.fit.fast import FastFitter, fitter_of
-from handfit_core.fit.grip import Grip, SkinVertices, Spheres
+from handfit_core.fit.grip import Grip, GripPoints
 from handfit_core.fit.observation import PoseAnchor, observation_of
 from handfit_core.fit.prop import PropSurface, outward
 from handfit_core.fit.solvers import ShouldStop
@@ -36,41 +35,42 @@ def solve_grip(hand: RefineHand, prop: Prop, model: HandModel, should_stop: Shou
     none."""
     if len(prop.placed) != len(hand):
         raise OptionError(f"prop: placed has {len(prop.placed)} rows, expected {len(hand)}")
-    posed, points = posed_in_front(hand, model)
+    posed, landmarks = posed_in_front(hand, model)
     pose = [np.where(posed[:, None], np.asarray(rows, dtype=np.float64), np.nan) for rows in hand.pose]
     fixed, rows = np.tile(posed[:, None], 16), np.flatnonzero(posed)
-    corners = outward(prop.vertices, prop.triangles)
+    vertices = np.asarray(prop.vertices, dtype=np.float64)
+    triangles = outward(vertices, prop.triangles)
     if not len(rows):
         return with_fixed(hand, fixed, pose)
     turn, place = prop.placed[..., :3], prop.placed[..., 3]
-    seen_from = (points[rows] - place[rows, None]) @ turn[rows]
+    seen_from = (landmarks[rows] - place[rows, None]) @ turn[rows]
     low, high = (pick(seen_from, axis=(0, 1)) for pick in (np.min, np.max))
-    surface = PropSurface(corners, low - GRIPS.margin, high + GRIPS.margin)
+    surface = PropSurface(vertices, triangles, low - GRIPS.margin, high + GRIPS.margin)
     if not len(surface):
         return with_fixed(hand, fixed, pose)
     fitter = fitter_of(model)
     own = states_of(fitter, hand, hand, posed[rows], rows)
+    points, skin = (make(model, own.betas[0]) for make in (GripPoints.spheres, GripPoints.skin))
     nothing = np.zeros((len(rows), 10))
-    grip = Grip(surface, Spheres(fitter.surface), turn[rows], place[rows], nothing, own, GRIPS.margin)
-    grip, joints = _wanted(fitter, grip, prop.fingers)
+    grip = Grip(surface, points, turn[rows], place[rows], nothing, own, GRIPS.margin)
+    grip, joints = _wanted(fitter, grip, skin, prop.fingers)
     fixed[rows] = joints | np.asarray(hand.locked, dtype=bool)
     busy = np.flatnonzero(~fixed[rows].all(axis=1))
     for _, part in chunks_of(busy):
         check_stop(should_stop)
         at = busy[part]
-        state = _laid(fitter, hand.intrinsics, grip.select(at), fixed[rows[at]])
+        state = _laid(fitter, hand.intrinsics, grip.select(at), skin, fixed[rows[at]])
         for all_rows, found in zip(pose, fitter.chain.parameters(state)[1:], strict=True):
             all_rows[rows[at]] = found
     return with_fixed(hand, fixed, pose)
 
 
-def _wanted(fitter: FastFitter, grip: Grip, fingers: np.ndarray) -> tuple[Grip, np.ndarray]:
+def _wanted(fitter: FastFitter, grip: Grip, skin: GripPoints, fingers: np.ndarray) -> tuple[Grip, np.ndarray]:
     """Return the grip with the pads that are to be drawn to the prop, and the joints (B, 16) bool that are to
     stay fixed."""
     posed, points = fitter.chain.pose(grip.captured), grip.points
     gaps = grip.gaps(posed)[1]
-    skin = SkinVertices(fitter.chain, np.flatnonzero(fitter.model.weights.argmax(axis=1) == 0))
-    palm = -replace(grip, points=skin).gaps(posed)[1].min()
+    palm = -replace(grip, points=skin.select(skin.palm)).gaps(posed)[1].min()
     if palm > GRIPS.deepest_palm:
         raise OptionError(
             f"the prop is up to {1000 * palm:.0f} mm inside the palm; move it out, or grip in fewer frames"
@@ -78,7 +78,7 @@ def _wanted(fitter: FastFitter, grip: Grip, fingers: np.ndarray) -> tuple[Grip, 
     drawn = np.empty((len(gaps), 5, 2))
     for level, (near, far) in enumerate((GRIPS.middle_reach, GRIPS.reach)):
         for finger in range(5):
-            gap = gaps[:, points.pad == 2 * finger + level].min(axis=1)
+            gap = gaps[:, points.pads[2 * finger + level]].min(axis=1)
             drawn[:, finger, level] = np.clip((far - gap) / (far - near), 0.0, 1.0) * fingers[finger]
     drawn[..., 0] *= GRIPS.middle_share * drawn[..., 1]
     of_finger = (points.finger == np.arange(5)[:, None]) & ~points.palm
@@ -89,7 +89,9 @@ def _wanted(fitter: FastFitter, grip: Grip, fingers: np.ndarray) -> tuple[Grip, 
     return replace(grip, drawn=drawn.reshape(-1, 10)), fixed
 
 
-def _laid(fitter: FastFitter, intrinsics: Intrinsics, grip: Grip, joints: np.ndarray) -> State:
+def _laid(
+    fitter: FastFitter, intrinsics: Intrinsics, grip: Grip, skin: GripPoints, joints: np.ndarray
+) -> State:
     """Lay B hands on the prop, but for the `joints` (B, 16) bool that are fixed; returns their states."""
     own, fixed = grip.captured, fixed_at(joints, grip.captured)
     seen = pinning.landmarks_of_pose(fitter.chain.points(own), intrinsics)
@@ -97,13 +99,16 @@ def _laid(fitter: FastFitter, intrinsics: Intrinsics, grip: Grip, joints: np.nda
         seen, pixel_sigma=GRIPS.loosened * seen.pixel_sigma, depth_sigma=GRIPS.loosened * seen.depth_sigma
     )
     anchor = PoseAnchor.at(own, angle_sigma=GRIPS.angle_sigma, limits_sigma=pinning.PINS.limits_sigma)
-    observed = replace(observation_of(seen, intrinsics), anchor=anchor, grip=grip)
+    observed = replace(observation_of(seen, intrinsics), anchor=anchor)
     along = (fitter.chain.points(own) * observed.ray[:, None]).sum(axis=2).mean(axis=1)
-    start = replace(own, depth_zero=along)
-    start = cheapest(fitter, observed, [start], fixed, EDITS.max_iterations, solid=True).state
-    every = SkinVertices(fitter.chain, np.arange(len(fitter.model.v_template)))
-    skin = replace(grip, points=every, within=GRIPS.skin_reach)
-    near = np.isfinite(skin.gaps(fitter.chain.pose(start))[1]).any(axis=0)
-    skin = replace(skin, points=SkinVertices(fitter.chain, np.flatnonzero(near)))
-    observed = replace(observed, grip=skin)
-    return cheapest(fitter, observed, [start], fixed, EDITS.max_iterations, solid=True).state
+
+    def fitted(state: State, aim: Grip) -> State:
+        problem = fitter.problem(replace(observed, grip=aim), fixed=fixed, solid=True)
+        limits = EDITS.max_iterations, GRIPS.tolerance, GRIPS.first_damping
+        return fitter.solve_each(problem, state, *limits).state
+
+    state = fitted(replace(own, depth_zero=along), grip)
+    moved = skin.select(skin.weights @ ~joints.all(axis=0) > 0.0)
+    on_skin = replace(grip, points=moved, within=GRIPS.skin_reach)
+    near = np.isfinite(on_skin.gaps(fitter.chain.pose(state))[1].min(axis=0))
+    return fitted(state, replace(on_skin, points=moved.select(near)))

@@ -129,6 +129,9 @@ class GripSettings:
     """metres of the palm's depth in the prop from which on the wrist would have to move too far"""
     skin_reach: float = 0.008
     """metres from the prop, once fingers are roughly laid on it, in which the skin's vertices count"""
+    tolerance: float = 0.003
+    """Relative decrease of the cost at which fingers lie on a prop"""
+    first_damping: float = 0.01
     margin: float = 0.04
     """metres around the hand, and around the middle of a finger, in which the prop's faces count"""
 

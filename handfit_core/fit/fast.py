@@ -135,20 +135,32 @@ class FastFitter:
         terms = (depth, self._limits, self._firm_prior, coupling)
         return (*terms, Shape(self._betas, self._length_rates, weight, measured=self._measured))
 
-    def solve_each(self, problem: Problem, start: State, max_iterations: int | None = None) -> Solution:
-        """Solve independent frames in batches, starting from `start`. `max_iterations`: None for the number
-        in `SOLVER`."""
+    def solve_each(
+        self,
+        problem: Problem,
+        start: State,
+        max_iterations: int | None = None,
+        tolerance: float | None = None,
+        first_damping: float | None = None,
+    ) -> Solution:
+        """Solve independent frames in batches, starting from `start`. `max_iterations`, `tolerance` and
+        `first_damping` are those of `levenberg.solve`, and None for the ones in `SOLVER`."""
         most = SOLVER.max_iterations if max_iterations is None else max_iterations
-        # Fingers that are made to touch or to grip have none of `pinned`.
-        seen = problem.seen
-        corrected = any(each is not None for each in (seen.pinned, seen.touches, seen.grip))
-        tolerance = SOLVER.pinned_tolerance if corrected else SOLVER.tolerance
+        if tolerance is None:
+            # Fingers that are made to touch have none of `pinned`.
+            corrected = problem.seen.pinned is not None or problem.seen.touches is not None
+            tolerance = SOLVER.pinned_tolerance if corrected else SOLVER.tolerance
 
-        solutions = (
-            solve(problem.select(rows), start.select(rows), max_iterations=most, tolerance=tolerance)
-            for rows in slices(len(start), SOLVER.solve_batch)
-        )
-        return Solution.collect(len(start), solutions)
+        def solved(rows: slice) -> Solution:
+            return solve(
+                problem.select(rows),
+                start.select(rows),
+                max_iterations=most,
+                tolerance=tolerance,
+                first_damping=first_damping,
+            )
+
+        return Solution.collect(len(start), map(solved, slices(len(start), SOLVER.solve_batch)))
 
     def solve_solid(
         self, seen: Observation, plain: Solution, times: Times | None = None, fixed: FixedJoints | None = None

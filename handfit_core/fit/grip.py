@@ -3,84 +3,104 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 
 from handfit_core.common.batch import Batch
-from handfit_core.common.skeleton import JOINTS_BY_FINGER
+from handfit_core.common.skeleton import JOINTS_BY_FINGER, NUM_JOINTS, PARENTS
 from handfit_core.fit.prop import PropSurface
-from handfit_core.hand_model.chain import Chain, Posed, State
+from handfit_core.hand_model.chain import Posed, State
+from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import bone_axes
-from handfit_core.hand_model.surface import FINGER_OF_BONE, LEVEL_OF_BONE, NUM_BONES, Surface
+from handfit_core.hand_model.surface import PALM, surface_of
 
-LEVELS: Final = 2
-"""Number of a finger's pads that are drawn to a prop: finger f has number 2 f, of its middle bone, and 2 f +
-1, of its last"""
 _ALONG: Final = np.array([0.0, 0.35, 0.7, 1.0])
 """Where along a bone the centres of its four spheres lie, from 0 at its beginning to 1 at its end"""
 
 
+@dataclass(frozen=True, eq=False)
 class GripPoints:
-    """S points of a hand, each of which belongs to the finger that `finger` (S,) says.
+    """S points of hands of one shape, which follow the joints as skin does (linear blend skinning)."""
 
-    `follows`: (S, 3) the share, 0..1, in which a point goes along with each of its finger's three joints.
-    `pad`: (S,) the number of the pad that a point is part of; -1: none. `palm`: (S,) bool, true for points of
-    the palm.
-    """
+    model: HandModel
+    joints: np.ndarray
+    """(16, 3) metres: the joints of the flat hand, model frame"""
+    rest: np.ndarray
+    """(S, 3) metres: the points of the flat hand, model frame"""
+    weights: np.ndarray
+    """(S, 16) skin weights, as in `HandModel`"""
+    posedirs: np.ndarray
+    """(S, 3, 135) metres: how the points move beyond skinning, as in `HandModel`"""
+    flesh: np.ndarray
+    """(S,) metres: the thickness of the flesh around the points"""
 
-    def __init__(
-        self, finger: np.ndarray, follows: np.ndarray, level: np.ndarray, on_pad: np.ndarray
-    ) -> None:
-        self.finger, self.follows, self.palm = finger, follows, level == 3
-        self.pad = np.where(on_pad & np.isin(level, (1, 2)), LEVELS * finger + level - 1, -1)
+    @classmethod
+    def spheres(cls, model: HandModel, betas: np.ndarray) -> GripPoints:
+        """Return spheres along the bones of hands of shape `betas` (10,). A prop hardly ever reaches their
+        centres, so that these tell from which side a finger came in."""
+        flat = surface_of(model).of(betas[None], np.zeros((1, 45)))
+        share = np.stack([1.0 - _ALONG, _ALONG])
+        centres = (flat.ends[0].swapaxes(1, 2) @ share).swapaxes(1, 2).reshape(-1, 3)
+        joints = np.append(JOINTS_BY_FINGER, np.zeros(len(flat.ends[0]) - PALM, dtype=int))
+        weights = np.eye(NUM_JOINTS)[joints.repeat(len(_ALONG))]
+        still = np.zeros((len(centres), *model.posedirs.shape[1:]))
+        flesh = (flat.radii[0] @ share).reshape(-1)
+        return cls(model, model.shaped(betas).joints, centres, weights, still, flesh)
 
-    def places(self, posed: Posed) -> tuple[np.ndarray, np.ndarray]:
-        """Return where the points of B posed hands are, (B, S, 3) metres in the camera frame, and the
-        thickness (B, S) in metres of the flesh around them."""
-        raise NotImplementedError
+    @classmethod
+    def skin(cls, model: HandModel, betas: np.ndarray) -> GripPoints:
+        """Return the V vertices of the skin of hands of shape `betas` (10,)."""
+        shaped = model.shaped(betas)
+        bare = np.zeros(len(shaped.vertices))
+        return cls(model, shaped.joints, shaped.vertices, model.weights, model.posedirs, bare)
 
+    def select(self, chosen: np.ndarray) -> GripPoints:
+        """Return the points that `chosen` (S,) bool marks."""
+        arrays = (self.rest, self.weights, self.posedirs, self.flesh)
+        return GripPoints(self.model, self.joints, *(each[chosen] for each in arrays))
 
-class Spheres(GripPoints):
-    """Spheres along the bones, whose middles a prop hardly ever reaches: they tell where a finger came in."""
+    @cached_property
+    def palm(self) -> np.ndarray:
+        """(S,) bool: true for points of the palm."""
+        return self.weights.argmax(axis=1) == 0
 
-    def __init__(self, surface: Surface) -> None:
-        level = LEVEL_OF_BONE.repeat(len(_ALONG))
-        follows = (np.arange(3) <= level[:, None]) & (level[:, None] < 3)
-        super().__init__(
-            FINGER_OF_BONE.repeat(len(_ALONG)), follows * 1.0, level, np.ones(len(level), dtype=bool)
-        )
-        self._surface, self._share = surface, np.stack([1.0 - _ALONG, _ALONG])
+    @cached_property
+    def finger(self) -> np.ndarray:
+        """(S,) the finger that each point belongs to, by its number in `skeleton.FINGERS`; points of the palm
+        name the one that moves them most, if any does."""
+        return self.weights[:, JOINTS_BY_FINGER].sum(axis=2).argmax(axis=1)
 
-    def places(self, posed: Posed) -> tuple[np.ndarray, np.ndarray]:
-        """Return the spheres' centres (B, S, 3) and their radii (B, S), in metres, camera frame."""
-        capsules, size = self._surface.capsules(posed), NUM_BONES * len(_ALONG)
-        centres = (capsules.ends.swapaxes(2, 3) @ self._share).swapaxes(2, 3).reshape(-1, size, 3)
-        return centres, (capsules.radii @ self._share).reshape(-1, size)
+    @cached_property
+    def follows(self) -> np.ndarray:
+        """(S, 3) the share, 0..1, in which a point goes along with each of its finger's three joints."""
+        own = np.take_along_axis(self.weights, JOINTS_BY_FINGER[self.finger], axis=1)
+        return own[:, ::-1].cumsum(axis=1)[:, ::-1]
 
+    @cached_property
+    def pads(self) -> np.ndarray:
+        """(10, S) bool: true for the points of each pad that may be drawn to a prop, the middle and the last
+        one of each finger."""
+        owner = self.weights.argmax(axis=1)
+        to_back = ((self.rest - self.joints[owner]) * bone_axes(self.model)[owner, :, 1]).sum(axis=1)
+        at = np.where((to_back < 0.0) | (self.flesh > 0.0), owner, 0)
+        return at == JOINTS_BY_FINGER[:, 1:].reshape(-1, 1)
 
-class SkinVertices(GripPoints):
-    """S vertices of the skin itself, moved by linear blend skinning. All hands of a batch must be of one
-    shape."""
-
-    def __init__(self, chain: Chain, vertices: np.ndarray) -> None:
-        model, axes = chain.model, bone_axes(chain.model)
-        weights = model.weights[vertices]
-        owner = weights.argmax(axis=1)
-        by_finger = weights[:, JOINTS_BY_FINGER]  # (S, 5, 3)
-        finger = by_finger.sum(axis=2).argmax(axis=1)
-        own = by_finger[np.arange(len(vertices)), finger]
-        flat = model.shaped()
-        to_back = ((flat.vertices[vertices] - flat.joints[owner]) * axes[owner, :, 1]).sum(axis=1)
-        level = np.where(owner == 0, 3, (owner - 1) % 3)
-        super().__init__(finger, own[:, ::-1].cumsum(axis=1)[:, ::-1], level, to_back < 0.0)
-        self._chain, self._vertices = chain, vertices
-
-    def places(self, posed: Posed) -> tuple[np.ndarray, np.ndarray]:
-        """Return the vertices (B, S, 3) in metres, camera frame, and zeros, as no flesh is around them."""
-        betas, *pose = self._chain.parameters(posed.state)
-        places = self._chain.model.skinned(self._vertices, betas[0], *pose)[0]
-        return places, np.zeros(places.shape[:2])
+    def places(self, posed: Posed) -> np.ndarray:
+        """Return where the points of B posed hands are, (B, S, 3) metres in the camera frame."""
+        batch, size = len(posed.state), len(self.rest)
+        turns, joints = np.empty((batch, NUM_JOINTS, 3, 3)), np.empty((batch, NUM_JOINTS, 3))
+        turns[:, 0], joints[:, 0] = posed.state.root, posed.state.wrist
+        turns[:, JOINTS_BY_FINGER] = posed.frames.reshape(batch, 5, 3, 4, 3)[:, :, :, :3].swapaxes(2, 3)
+        joints[:, JOINTS_BY_FINGER] = posed.origins[:, :, :3]
+        turns = turns @ bone_axes(self.model).swapaxes(1, 2)
+        bent = turns[:, PARENTS[1:]].swapaxes(2, 3) @ turns[:, 1:] - np.eye(3)
+        dents = bent.reshape(batch, -1) @ self.posedirs.reshape(3 * size, -1).T
+        rest = self.rest + dents.reshape(batch, size, 3)
+        turn = (self.weights @ turns.reshape(batch, NUM_JOINTS, 9)).reshape(batch, size, 3, 3)
+        place = self.weights @ (joints - (turns @ self.joints[..., None])[..., 0])
+        return (turn @ rest[..., None])[..., 0] + place
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +123,8 @@ class Grip(Batch):
     def gaps(self, posed: Posed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the points of B posed hands (B, S, 3) in metres, the distances (B, S) of their skins from
         the prop, negative inside it, and unit vectors (B, S, 3) that lead out of it."""
-        places, thickness = self.points.places(posed)
+        places = self.points.places(posed)
         seen_from = (places - self.place[:, None]) @ self.turn
         gaps, out = self.surface.gaps(seen_from.reshape(-1, 3), self.within)
         out = out.reshape(places.shape) @ self.turn.swapaxes(1, 2)
-        return places, gaps.reshape(places.shape[:2]) - thickness, out
+        return places, gaps.reshape(places.shape[:2]) - self.points.flesh, out

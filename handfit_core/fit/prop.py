@@ -8,51 +8,58 @@ from typing import Final
 import numpy as np
 
 from handfit_core.common.errors import OptionError
-from handfit_core.hand_model.surface import cross
+from handfit_core.hand_model.surface import cross, dot
 
-_LONGEST_SIDE: Final = 0.006
-"""metres: longer sides of triangles are halved, so that the triangle nearest to a point is among those with
-the nearest centres"""
+_SPACING: Final = 0.006
+"""metres between marks on triangles, at most, so that the triangle nearest to a point is among those with the
+nearest marks"""
 _CANDIDATES: Final = 6
-"""How many triangles with the nearest centres are searched for the one that is nearest to a point"""
+"""The triangles of how many nearest marks are searched for the one that is nearest to a point"""
 _MOST_TWICE: Final = 0.01
 """Share of edges that two faces follow in one direction, beyond which the faces of a mesh do not agree on
 which side is outside"""
 _SAMPLED_FACES, _SAMPLED_FIELD = 32, 4000
-"""How many faces are tested for which of their sides is inside, and of how many faces the winding number is
-summed for that"""
+"""How many faces of an open mesh are tested for which of their sides is inside, and of how many faces the
+winding number is summed for that"""
 _CERTAIN_WINDING, _CERTAIN_SHARE = 0.1, 0.9
 """Mean winding number of both sides of a face, 0.5 in closed meshes, from which the inside is certain, and
 the share of faces where it must be"""
 
 
 def outward(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Return the corners (F, 3, 3) of the triangles (F, 3) of vertices (V, 3), in their unit,
-    counter-clockwise seen from outside.
+    """Return the triangles (F, 3) of vertices (V, 3), in their unit, counter-clockwise seen from outside.
 
-    The inside is where the generalized winding number (Jacobson et al. 2013) is above one half, so that a cup
-    without a bottom has one. Raises OptionError where it cannot be determined.
+    Each part of a closed mesh has a volume. The inside of an open one is where the generalized winding number
+    (Jacobson et al. 2013) is above one half, so that a cup without a bottom has one. Raises OptionError where
+    it cannot be determined.
     """
-    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64) @ [len(vertices), 1]
-    corners = vertices[triangles]
-    areas = np.linalg.norm(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    corners = [vertices.take(triangles[:, k], axis=0) for k in range(3)]
+    a, b, c = corners
+    turned = cross(b - a, c - a)
+    areas = np.sqrt(dot(turned, turned))
     if not areas.sum() > 0.0:
         raise OptionError("the prop has no faces; choose an object with a surface")
+    if _closed(triangles, len(vertices)):
+        part = _parts(triangles, len(vertices))
+        reversed_ = np.bincount(part, dot(a, turned))[part] < 0.0
+        return np.where(reversed_[:, None], triangles[:, ::-1], triangles)
+    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64) @ [len(vertices), 1]
     if 1.0 - len(np.unique(edges)) / len(edges) > _MOST_TWICE:
         raise OptionError("the prop's faces point both ways; recalculate its normals, then grip again")
-    rng = np.random.default_rng(0)
-    asked = rng.choice(len(corners), _SAMPLED_FACES, p=areas / areas.sum())
-    field = corners if len(corners) <= _SAMPLED_FIELD else corners[rng.choice(len(corners), _SAMPLED_FIELD)]
-    off = field - corners[asked].mean(axis=1)[:, None, None]  # (asked, field, 3 corners, 3)
-    a, b, c = (off[:, :, k] for k in range(3))
-    far_a, far_b, far_c = (np.linalg.norm(each, axis=2) for each in (a, b, c))
-    bottom = far_a * far_b * far_c + (a * b).sum(2) * far_c + (b * c).sum(2) * far_a + (c * a).sum(2) * far_b
-    top = (a * cross(b, c)).sum(axis=2)
+    rng, share = np.random.default_rng(0), areas / areas.sum()
+    asked, field, weight = rng.choice(len(areas), _SAMPLED_FACES, p=share), slice(None), 1.0
+    if len(areas) > _SAMPLED_FIELD:
+        field = rng.choice(len(areas), _SAMPLED_FIELD, p=share)
+        weight = 1.0 / (_SAMPLED_FIELD * share[field])
+    middle = (a[asked] + b[asked] + c[asked])[:, None] / 3.0
+    a, b, c = (each[field] - middle for each in corners)  # (asked, field, 3)
+    far_a, far_b, far_c = (np.sqrt(dot(each, each)) for each in (a, b, c))
+    bottom = far_a * far_b * far_c + dot(a, b) * far_c + dot(b, c) * far_a + dot(c, a) * far_b
+    top = dot(a, cross(b, c))
     # The face itself, and what lies in its plane, is seen from the edge.
     top[np.abs(top) < 1e-9 * far_a * far_b * far_c] = 0.0
-    angles = np.where(top == 0.0, 0.0, np.arctan2(top, bottom))
-    winding = angles.sum(axis=1) / (2.0 * np.pi) * (len(corners) / len(field))
-    for certain, sides in ((winding, corners), (-winding, corners[:, ::-1])):
+    winding = (np.where(top == 0.0, 0.0, np.arctan2(top, bottom)) * weight).sum(axis=1) / (2.0 * np.pi)
+    for certain, sides in ((winding, triangles), (-winding, triangles[:, ::-1])):
         if np.mean(certain > _CERTAIN_WINDING) >= _CERTAIN_SHARE:
             return sides
     raise OptionError(
@@ -60,71 +67,130 @@ def outward(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     )
 
 
-class PropSurface:
-    """The triangles of a prop that lie in the box between the corners `low` (3,) and `high` (3,), in
-    metres."""
+def _closed(triangles: np.ndarray, vertex_count: int) -> bool:
+    """Tell whether faces follow each edge as often in one direction as in the other. Then their signed areas
+    add up to zero wherever on a plane their vertices lie, here at random."""
+    places = np.random.default_rng(0).integers(0, 2**20, (2, vertex_count))
+    (x, u, w), (y, v, z) = ([each.take(triangles[:, k]) for k in range(3)] for each in places)
+    return bool(((u - x) * (z - y) - (w - x) * (v - y)).sum() == 0)
 
-    def __init__(self, corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+
+def _parts(triangles: np.ndarray, vertex_count: int) -> np.ndarray:
+    """Return the number (F,) of the part to which each triangle belongs; parts have no vertex in common."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    ends = triangles[:, :2].reshape(-1), triangles[:, 1:].reshape(-1)
+    edges = csr_array((np.ones(len(ends[0]), dtype=np.int8), ends), shape=(vertex_count, vertex_count))
+    return connected_components(edges, directed=False)[1][triangles[:, 0]]
+
+
+class PropSurface:
+    """The triangles (F, 3) of a prop's `vertices` (V, 3) that lie in the box between the corners `low` (3,)
+    and `high` (3,), in metres; they are counter-clockwise seen from outside."""
+
+    def __init__(
+        self, vertices: np.ndarray, triangles: np.ndarray, low: np.ndarray, high: np.ndarray
+    ) -> None:
         from scipy.spatial import KDTree
 
-        corners = corners[_in_box(corners, low, high)]
-        while True:
-            sides = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
-            long = sides.max(axis=1, initial=0.0) > _LONGEST_SIDE
-            if not long.any():
-                break
-            turn = (sides[long].argmax(axis=1)[:, None] + np.arange(3)) % 3
-            first = np.take_along_axis(corners[long], turn[..., None], axis=1)
-            second, middle = first.copy(), first[:, :2].mean(axis=1)
-            first[:, 1], second[:, 0] = middle, middle
-            halves = np.concatenate([first, second])
-            corners = np.concatenate([corners[~long], halves[_in_box(halves, low, high)]])
-        normals = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        sizes = np.linalg.norm(normals, axis=1)
+        beyond = np.packbits(np.concatenate([vertices < low, vertices > high], axis=1), axis=1)[:, 0]
+        a, b, c = (beyond.take(triangles[:, k]) for k in range(3))
+        corners = vertices[triangles[a & b & c == 0]]
+        sides = corners[:, [1, 2, 0]] - corners
+        squared = dot(sides, sides)
+        large = np.asarray((squared > _SPACING**2).any(axis=1))
+        # Their longest side becomes the first one.
+        turn = (squared[large].argmax(axis=1)[:, None] + np.arange(3)) % 3
+        corners[large] = np.take_along_axis(corners[large], turn[..., None], axis=1)
+        a, b, c = corners.swapaxes(0, 1)
+        normals = cross(b - a, c - a)
+        sizes = np.sqrt(dot(normals, normals))
         solid = sizes > 1e-14
-        self._corners, self._normals = corners[solid], normals[solid] / sizes[solid, None]
-        self._longest = sides.max(initial=0.0)
-        self._tree = KDTree(self._corners.mean(axis=1), balanced_tree=False, compact_nodes=False)
+        a, b, c = a[solid], b[solid], c[solid]
+        along, normals = b - a, normals[solid] / sizes[solid, None]
+        length = np.sqrt(dot(along, along))
+        along /= length[:, None]
+        self._origins = a
+        self._axes = np.stack([along, cross(normals, along), normals], axis=1)
+        """(F, 3, 3) in rows the axes of each triangle: along its first side, across it, and out of it"""
+        self._flat = np.zeros((len(a), 3, 2))
+        """(F, 3, 2) metres: the corners of each triangle, along and across its first side"""
+        self._flat[:, 1, 0] = length
+        self._flat[:, 2] = (self._axes[:, :2] @ (c - a)[..., None])[..., 0]
+        marks, owner = self._rows(np.flatnonzero(large[solid]), (low + high) / 2.0, (high - low) / 2.0)
+        small = np.flatnonzero(~large[solid])
+        self._owner = np.concatenate([owner, small])
+        marks = np.concatenate([marks, (a[small] + b[small] + c[small]) / 3.0])
+        self._tree = KDTree(marks, balanced_tree=False, compact_nodes=False)
+
+    def _rows(self, of: np.ndarray, middle: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return marks (N, 3) on the triangles `of` (M,), in rows along their first sides, where these are in
+        the box around `middle` (3,) of `half` (3,) its size, and the triangle (N,) of each."""
+        axes = self._axes[of, :2]
+        box, reach = (axes @ (middle - self._origins[of])[..., None])[..., 0], np.abs(axes) @ half
+        (low, lowest), (high, highest) = (box - reach).T, (box + reach).T
+        length, (third, height) = self._flat[of, 1, 0], self._flat[of, 2].T
+        row, lower, width = _parted(np.maximum(lowest, 0.0), np.minimum(highest, height))
+        # A row reaches as far as the triangle does at the row's lower edge, and its marks are within both.
+        first, last = lower * (third / height)[row], length[row] - lower * ((length - third) / height)[row]
+        mark, along, size = _parted(np.maximum(first, low[row]), np.minimum(last, high[row]))
+        row, along, lower = row[mark], along + size / 2.0, lower[mark]
+        with np.errstate(divide="ignore"):
+            top = np.minimum(along / third[row], (length[row] - along) / (length - third)[row]) * height[row]
+        flat = np.stack([along, (lower + np.minimum(lower + width[mark], top)) / 2.0], axis=1)
+        return self._origins[of[row]] + (flat[:, None] @ axes[row])[:, 0], of[row]
 
     def __len__(self) -> int:
-        return len(self._corners)
+        return len(self._owner)
 
     def gaps(self, points: np.ndarray, within: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
         """Return signed distances (N,) in metres of points (N, 3) from the prop, negative inside it and
         infinite beyond `within`, and their gradients (N, 3), unit vectors."""
-        near = self._tree.query(points, k=_CANDIDATES, distance_upper_bound=within + self._longest)[1]
+        near = self._tree.query(points, k=_CANDIDATES, distance_upper_bound=within + _SPACING)[1]
         near = np.asarray(near)
-        found = np.flatnonzero(near[:, 0] < len(self))
-        near = np.minimum(near[found], len(self) - 1)
-        corners, normals = self._corners[near], self._normals[near]
-        off = points[found, None] - _nearest_in(corners, normals, points[found, None])
-        distance = np.linalg.norm(off, axis=2)
-        along = (off * normals).sum(axis=2)
+        found = np.flatnonzero(near[:, 0] < len(self._owner))
+        near = self._owner[np.minimum(near[found], len(self._owner) - 1)]
+        off = self._axes[near] @ (points[found, None] - self._origins[near])[..., None]
+        off[..., :2, 0] = _beside(self._flat[near], off[..., :2, 0])
+        off = off[..., 0]
+        distance = np.sqrt(dot(off, off))
         # At an edge, the face that is turned most to the point tells on which side it lies.
         nearest = distance <= distance.min(axis=1, keepdims=True) + 1e-9
-        best = np.arange(len(found)), np.where(nearest, np.abs(along), -1.0).argmax(axis=1)
-        signed = np.copysign(distance[best], along[best])
+        best = np.arange(len(found)), np.where(nearest, np.abs(off[..., 2]), -1.0).argmax(axis=1)
+        axes, off = self._axes[near[best]], off[best]
+        signed = np.copysign(distance[best], off[:, 2])
+        with np.errstate(all="ignore"):
+            away = np.where(np.abs(signed)[:, None] > 1e-7, off / signed[:, None], [0.0, 0.0, 1.0])
         gaps, gradients = np.full(len(points), np.inf), np.zeros_like(points)
         gaps[found] = np.where(signed <= within, signed, np.inf)
-        with np.errstate(all="ignore"):
-            away = off[best] / signed[:, None]
-        gradients[found] = np.where(distance[best][:, None] > 1e-7, away, normals[best])
+        gradients[found] = (away[:, None] @ axes)[:, 0]
         return gaps, gradients
 
 
-def _in_box(corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    return ((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)
+def _parted(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Part N intervals from `first` (N,) to `last` (N,) into ones no longer than `_SPACING`; returns of which
+    interval each is a part, and where they begin and how long they are. Those that end before they begin have
+    no parts."""
+    count = np.ceil(np.maximum(last - first, 0.0) / _SPACING).astype(np.int64)
+    of = np.arange(len(count)).repeat(count)
+    width = (last - first)[of] / count[of]
+    number = np.arange(len(of)) - (count.cumsum() - count)[of]
+    return of, first[of] + number * width, width
 
 
-def _nearest_in(corners: np.ndarray, normals: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the places (..., 3) in triangles (..., 3, 3) with unit normals (..., 3) that are nearest to
-    `points` (..., 3)."""
-    sides = np.roll(corners, -1, axis=-2) - corners
-    off = points[..., None, :] - corners
-    squared = np.maximum((sides * sides).sum(axis=-1), 1e-30)
-    on_sides = corners + np.clip((off * sides).sum(axis=-1) / squared, 0.0, 1.0)[..., None] * sides
-    inside = ((cross(normals[..., None, :], sides) * off).sum(axis=-1) >= 0.0).all(axis=-1)
-    foot = points - (off[..., 0, :] * normals).sum(axis=-1, keepdims=True) * normals
-    nearest = np.square(points[..., None, :] - on_sides).sum(axis=-1).argmin(axis=-1)
-    beside = np.take_along_axis(on_sides, nearest[..., None, None], axis=-2)[..., 0, :]
-    return np.where(inside[..., None], foot, beside)
+def _beside(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the ways (..., 2) to `points` (..., 2) of a plane from where they are nearest in triangles
+    (..., 3, 2), which run counter-clockwise: zero for points within."""
+    least, within, found = np.full(points.shape[:-1], np.inf), True, np.zeros_like(points)
+    for k in range(3):
+        side, off = corners[..., k - 2, :] - corners[..., k, :], points - corners[..., k, :]
+        sx, sy, x, y = side[..., 0], side[..., 1], off[..., 0], off[..., 1]
+        along = np.minimum(np.maximum((x * sx + y * sy) / np.maximum(sx * sx + sy * sy, 1e-30), 0.0), 1.0)
+        turned = sx * y - sy * x
+        off -= along[..., None] * side
+        squared = x * x + y * y
+        found = np.where((squared < least)[..., None], off, found)
+        within = within & (turned >= 0.0)
+        least = np.minimum(least, squared)
+    return np.where(np.asarray(within)[..., None], 0.0, found)

@@ -109,6 +109,9 @@ class TermSettings:
     """metres between a prop and a pad that is drawn to it"""
     prop_penetration_sigma: float = 0.00025
     """metres of a skin's depth inside a prop"""
+    prop_softness: float = 0.0005
+    """metres on either side of a prop's surface in which a skin's depth grows from nothing: residuals are
+    smooth there"""
     grip_turn_sigma: float = math.radians(2.0)
     """radians by which a wrist gives way to a prop in the palm"""
     grip_place_sigma: float = 0.002

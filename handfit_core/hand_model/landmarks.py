@@ -45,10 +45,13 @@ def hand_length(model: HandModel) -> float:
     return float(np.linalg.norm(joints[FINGER_JOINTS["middle"][0]] - joints[0]))
 
 
+@lru_cache(maxsize=8)
 def bone_axes(model: HandModel) -> np.ndarray:
     """Return the anatomical axes of every joint in the flat pose as columns (16, 3, 3); those of the wrist
-    are the model frame's."""
-    return np.concatenate([np.eye(3)[None], anatomical_axes(model)])
+    are the model frame's. They are cached, and read-only."""
+    axes = np.concatenate([np.eye(3)[None], anatomical_axes(model)])
+    axes.setflags(write=False)
+    return axes
 
 
 NO_OFFSETS: Final = Landmarks(np.zeros((NUM_KEYPOINTS, 3)))
