@@ -102,13 +102,13 @@ def _laid(
     observed = replace(observation_of(seen, intrinsics), anchor=anchor)
     along = (fitter.chain.points(own) * observed.ray[:, None]).sum(axis=2).mean(axis=1)
 
-    def fitted(state: State, aim: Grip) -> State:
-        problem = fitter.problem(replace(observed, grip=aim), fixed=fixed, solid=True)
-        limits = EDITS.max_iterations, GRIPS.tolerance, GRIPS.first_damping
+    def fitted(state: State, aim: Grip, *, solid: bool) -> State:
+        problem = fitter.problem(replace(observed, grip=aim), fixed=fixed, solid=solid)
+        limits = EDITS.max_iterations, GRIPS.tolerances[solid], GRIPS.first_damping
         return fitter.solve_each(problem, state, *limits).state
 
-    state = fitted(replace(own, depth_zero=along), grip)
+    state = fitted(replace(own, depth_zero=along), grip, solid=False)
     moved = skin.select(skin.weights @ ~joints.all(axis=0) > 0.0)
     on_skin = replace(grip, points=moved, within=GRIPS.skin_reach)
     near = np.isfinite(on_skin.gaps(fitter.chain.pose(state))[1].min(axis=0))
-    return fitted(state, replace(on_skin, points=moved.select(near)))
+    return fitted(state, replace(on_skin, points=moved.select(near)), solid=True)

@@ -127,11 +127,12 @@ class GripSettings:
     """metres of the palm's depth in the prop from which the wrist moves"""
     deepest_palm: float = 0.008
     """metres of the palm's depth in the prop from which on the wrist would have to move too far"""
-    skin_reach: float = 0.008
+    skin_reach: float = 0.005
     """metres from the prop, once fingers are roughly laid on it, in which the skin's vertices count"""
-    tolerance: float = 0.003
-    """Relative decrease of the cost at which fingers lie on a prop"""
-    first_damping: float = 0.01
+    tolerances: tuple[float, float] = (0.02, 0.003)
+    """Relative decreases of the cost at which fingers are roughly laid on a prop, and at which they lie on
+    it"""
+    first_damping: float = 0.03
     margin: float = 0.04
     """metres around the hand, and around the middle of a finger, in which the prop's faces count"""
 
