@@ -2,10 +2,12 @@
 """Measure how fast solvers and whole captures are.
 
     python scripts/measure_speed.py                            the bundled pictures, about a minute
+    python scripts/measure_speed.py one.mp4 two.mp4            both clips, one after the other
     python scripts/measure_speed.py clip.mp4 --frames 1-300    a part of a clip
 
-Solvers fit the hand that INPUT shows most. What is compared takes turns in every round, so that another
-program's load hits all alike, and ratios are taken within rounds. Run it on an idle machine all the same.
+Solvers fit the hand that the first INPUT shows most. What is compared takes turns in every round, so that
+another program's load hits all alike, and ratios are taken within rounds. Run it on an idle machine all the
+same.
 """
 
 from __future__ import annotations
@@ -53,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("input", nargs="?", default=SAMPLE, metavar="INPUT", help="default: the sample")
+    parser.add_argument("input", nargs="*", default=[SAMPLE], metavar="INPUT", help="default: the sample")
     parser.add_argument("--frames", metavar="A-B:S", help="source frames, as in 1-300:2 (default: all)")
     parser.add_argument("--slow", default="paper-a", metavar="SOLVER", help="to compare with")
     parser.add_argument("--rounds", type=int, default=5, metavar="N", help="default: 5")
@@ -62,10 +64,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if args.rounds < 1:
             raise OptionError("--rounds must be at least 1")
         frames = FrameRange.parse(args.frames) if args.frames else None
-        for title, timed in (
-            ("solvers", solvers(args.input, frames, args.slow)),
-            ("captures", captures(args.input, frames)),
-        ):
+        measured = [("solvers", solvers(args.input[0], frames, args.slow))]
+        measured += [(Path(source).stem, captures(source, frames)) for source in args.input]
+        for title, timed in measured:
             print(table(title, timed, paired_times(timed, args.rounds)), end="\n\n", flush=True)
     except HandfitError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -297,6 +297,7 @@ def _linked(media: Media, options: CaptureOptions, seen: Detected, stop: ShouldS
             min(TAKE_LIMITS.max_hands, max(most or TAKE_LIMITS.max_hands, len(options.regions))),
             _rate(media, seen.numbers),
             tuple(holes),
+            cuts=seen.cuts,
             only_shown=options.only_regions,
         )
     except NoHandFoundError as error:

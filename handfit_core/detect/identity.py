@@ -48,6 +48,8 @@ class IdentitySettings:
     """Motion that is as unlikely as a gap in a hand's detections"""
     velocity_frames: int = 3
     """Frames for which a hand may keep its velocity"""
+    cut_weight: float = 0.1
+    """Weight of motion and deformation across a cut, which say little of whose hand it is"""
     max_states: int = 12
     """Number of the likeliest states that are kept from frame to frame"""
     max_worse: float = 40.0
@@ -74,10 +76,13 @@ class IdentitySettings:
 IDENTITY: Final = IdentitySettings()
 
 
-def separate_hands(hands: Detections, tracks: Sequence[np.ndarray]) -> list[np.ndarray]:
+def separate_hands(
+    hands: Detections, tracks: Sequence[np.ndarray], cuts: Sequence[int] = ()
+) -> list[np.ndarray]:
     """Rearrange the detections of a clip into tracks that stay on their hands where two of these come near
     each other; a hand that was lost for a moment is one track again. `tracks` are the rows (N,) of each
-    track's detections, in the order of frames, the surest track first.
+    track's detections, in the order of frames, the surest track first; `cuts` are the frames that begin
+    another shot.
 
     The sides that a person has given are kept: no track has detections of two given sides, where another one
     is near that they may be of.
@@ -89,7 +94,7 @@ def separate_hands(hands: Detections, tracks: Sequence[np.ndarray]) -> list[np.n
         apart = set()
         for group in groups:
             if len(group) > 1:
-                group = _assign_two(hands, group)
+                group = _assign_two(hands, group, cuts)
                 apart.add((len(surest), len(surest) + 1))
             surest += group
         if not apart:
@@ -127,14 +132,14 @@ def _near_groups(
     return [group for group in groups if group]
 
 
-def _assign_two(hands: Detections, tracks: Sequence[np.ndarray]) -> list[np.ndarray]:
+def _assign_two(hands: Detections, tracks: Sequence[np.ndarray], cuts: Sequence[int]) -> list[np.ndarray]:
     """Rearrange a group's detections into the tracks of two hands, and a track of what is left in frames that
     have three."""
     rows = np.concatenate(tracks)
     number = np.repeat(np.arange(len(tracks)), [len(track) for track in tracks])
     order = np.lexsort([number, hands.frame[rows]])
     rows, number = rows[order], number[order]
-    assignment = _Assignment(hands.select(rows))
+    assignment = _Assignment(hands.select(rows), cuts)
     left = assignment.left
     both = np.array([np.sort(left[pair]) for pair in assignment.rows if len(pair) == 2]).reshape(-1, 2)
     rates = both.mean(axis=0) if len(both) else _clipped(np.array([0.0, 1.0]))
@@ -153,10 +158,14 @@ def _assign_two(hands: Detections, tracks: Sequence[np.ndarray]) -> list[np.ndar
 class _Assignment:
     """Which of two hands N detections are of, by Viterbi's algorithm."""
 
-    def __init__(self, hands: Detections) -> None:
+    def __init__(self, hands: Detections, cuts: Sequence[int]) -> None:
         self.rows: list[list[int]] = [rows.tolist() for rows in hands.rows_by_frame]
         """The rows of the detections of each frame that has any"""
         self._frame: list[int] = hands.frame.tolist()
+        shot = np.searchsorted(cuts, hands.frame, "right")
+        begins = hands.frame == hands.frame[np.searchsorted(shot, shot)]
+        self._begins: list[bool] = (begins & (shot > 0)).tolist()
+        """N bools: True for the first detections after a cut"""
         self._size: list[float] = np.maximum(hands.extent, 1e-9).tolist()
         """N sizes of the hands in the picture, pixels"""
         self._points = hands.keypoints_2d @ np.array([1.0, 1.0j])
@@ -221,11 +230,9 @@ class _Assignment:
                         if lasts[hand] >= 0:
                             step = self._step(lasts[hand], row, velocities[hand])
                             motion, deformation, moving[hand] = step
-                        total += (
-                            side_costs[row][hand]
-                            + motion / typical_motion
-                            + deformation / typical_deformation
-                        )
+                        weight = IDENTITY.cut_weight if self._begins[row] else 1.0
+                        total += side_costs[row][hand]
+                        total += weight * (motion / typical_motion + deformation / typical_deformation)
                         now[hand] = row
                     key = now[0], now[1]
                     if key not in after or total < after[key][0]:

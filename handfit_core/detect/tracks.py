@@ -154,14 +154,16 @@ def link_and_count(
     fps: float = 25.0,
     holes: tuple[int, ...] = (),
     *,
+    cuts: Sequence[int] = (),
     only_shown: bool = False,
 ) -> tuple[tuple[Track, ...], int]:
     """Return the tracks of `link_tracks`, and the number of hands of the whole clip (of the wanted side)
-    among which it chose. With `only_shown`, it chooses among those that a person has said to be there."""
-    merger = _Merger(detections, _link(detections, without_duplicates(detections)))
+    among which it chose. With `only_shown`, it chooses among those that a person has said to be there. `cuts`
+    are the frames that begin another shot, in which the hand at the same place may well be another one."""
+    merger = _Merger(detections, _link(detections, without_duplicates(detections), cuts))
     merger.merge(_Merger.overlapping)
     surest = sorted(merger.tracks, key=lambda track: track.weight, reverse=True)
-    separate = separate_hands(detections, [np.array(track.rows) for track in surest])
+    separate = separate_hands(detections, [np.array(track.rows) for track in surest], cuts)
     merger = _Merger(detections, [_OpenTrack(detections, rows.tolist()) for rows in separate])
     merger.merge(_Merger.returning)
     tracks = merger.tracks
@@ -264,8 +266,9 @@ def without_duplicates(hands: Detections) -> list[np.ndarray]:
     return kept
 
 
-def _link(hands: Detections, frames: Sequence[np.ndarray]) -> list[_OpenTrack]:
-    """Link the detections in these rows, one array for each frame with hands, into tracks."""
+def _link(hands: Detections, frames: Sequence[np.ndarray], cuts: Sequence[int]) -> list[_OpenTrack]:
+    """Link the detections in these rows, one array for each frame with hands, into tracks. A track
+    goes on after a cut only with a hand of its side."""
     from scipy.optimize import linear_sum_assignment
 
     every: list[_OpenTrack] = []
@@ -274,7 +277,12 @@ def _link(hands: Detections, frames: Sequence[np.ndarray]) -> list[_OpenTrack]:
         frame = hands.frame[now[0]]
         tracks = [t for t in tracks if frame - hands.frame[t.rows[-1]] <= LINKING.max_gap]
         cost = _costs(hands, tracks, now)
-        limits = LINKING.max_distance(frame - hands.frame[_rows_back(tracks, 1)])
+        last = hands.frame[_rows_back(tracks, 1)]
+        cut = np.searchsorted(cuts, last, "right") < np.searchsorted(cuts, frame, "right")
+        if cut.any():
+            sides = np.array([SIDES.index(track.side) for track in tracks])
+            cost[cut[:, None] & (sides[:, None] != hands.likely_side[now])] = 3 * LINKING.max_motion
+        limits = LINKING.max_distance(frame - last)
         unmatched = set(range(len(now)))
         for row, column in zip(*linear_sum_assignment(cost), strict=True):
             if cost[row, column] < limits[row]:

@@ -127,6 +127,22 @@ def test_linked(frames, expected):
         assert track.fps == 12.5
 
 
+def test_hands_of_other_shots():
+    """The hand that a cut brings to the place of another one is of its own side, though single frames name
+    the other one; motion still tells whose hands those of one side are."""
+    sides: list[Side] = ["right", "right", "left", "right", "left", "left"]
+    frames = [[hand(100 + 3 * s + t, side)] for s, side in enumerate(sides) for t in range(6)]
+    frames[10], frames[26] = [hand(107, "left", 0.6)], [hand(114, "right", 0.6)]
+    tracks = {track.side: track.detections.frame // 6 for track in link_tracks(frames, cuts=range(6, 36, 6))}
+    assert {side: set(shots.tolist()) for side, shots in tracks.items()} == {
+        "right": {0, 1, 3},
+        "left": {2, 4, 5},
+    }
+    high, low = [hand(100 + t) for t in range(12)], [hand(100 + t, y=500) for t in range(12)]
+    for track in link_tracks([list(pair) for pair in zip(high, low, strict=True)], cuts=[6]):
+        assert np.ptp(track.detections.keypoints[:, 0, 1]) == 0
+
+
 def test_two_hands_of_one_side():
     """Only their motion tells which one comes back where after a gap; a small one beside a hand is farther
     away."""
