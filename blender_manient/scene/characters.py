@@ -35,10 +35,10 @@ class CharacterObjects:
 
     @classmethod
     def of(cls, armature: bpy.types.Object) -> CharacterObjects:
-        """Return the character with what it deforms or carries in the open scene and renders show: proxies
-        and cages are no part of it."""
+        """Return the character with what it deforms, carries or holds in the open scene and renders show:
+        proxies and cages are no part of it."""
         shown = (o for o in bpy.context.scene.objects if o.type == "MESH" and not o.hide_render)
-        return cls(armature, tuple(o for o in shown if armature in (*_deforming(o), o.parent)))
+        return cls(armature, tuple(o for o in shown if armature in (*_deforming(o), o.parent, *_holding(o))))
 
 
 def characters_in(scene: bpy.types.Scene) -> list[bpy.types.Object]:
@@ -283,6 +283,10 @@ def _is_character(obj: bpy.types.Object) -> bool:
 
 def _deforming(obj: bpy.types.Object) -> list[bpy.types.Object | None]:
     return [m.object for m in obj.modifiers if m.type == "ARMATURE"]
+
+
+def _holding(obj: bpy.types.Object) -> list[bpy.types.Object | None]:
+    return [c.target for c in obj.constraints if c.type == "CHILD_OF" and not c.mute]
 
 
 @functools.lru_cache(maxsize=64)

@@ -56,6 +56,7 @@ from .characters import (
 )
 from .editable import check, check_unlayered
 from .hand_motion import BoneKeys, record_written_keys, without_artist_keys, written_keys
+from .holding import held_by
 from .keys import (
     SAME_FRAME,
     PoseKeys,
@@ -277,8 +278,9 @@ def computing(
         kept = None
         if onto.contacts and motion.skins is not None:
             times = motion.frames / frame_rate(bpy.context.scene)
+            held = held_by(armature, hand_map.bones[0], motion.frames)
             kept = yield from keeping_contacts(
-                target, motion.source, motion.skins, motion.turns, times, keyed
+                target, motion.source, motion.skins, motion.turns, times, keyed, held
             )
         quats = np.empty((len(motion.frames), len(target.bones), 4))
         for start in range(0, len(quats), _CHUNK):

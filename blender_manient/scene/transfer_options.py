@@ -99,7 +99,8 @@ class TransferOptions:
     contacts: bool = _option(
         True,
         "Keep Contacts",
-        "where captured fingertips touch, the character's touch too: both fingers give way",
+        "where captured fingertips touch, the character's touch too: both fingers give way. Near a mesh that "
+        "follows its hand by a Child Of constraint they lie on that",
     )
     travel: float = _option(
         1.0,

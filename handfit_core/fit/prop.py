@@ -3,11 +3,12 @@ it."""
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from handfit_core.common.errors import OptionError
+from handfit_core.geometry.rotations import units
 from handfit_core.hand_model.surface import cross, dot
 
 _SPACING: Final = 0.006
@@ -15,6 +16,11 @@ _SPACING: Final = 0.006
 nearest marks"""
 _CANDIDATES: Final = 6
 """The triangles of how many nearest marks are searched for the one that is nearest to a point"""
+_SEARCH_ERROR: Final = 0.1
+"""Relative error of the distance up to which marks count as nearest: from the middle of a round prop,
+thousands are equally near"""
+_LEAST_AREA: Final = 1e-12
+"""square metres: twice the area of a triangle, up to which it has none"""
 _MOST_TWICE: Final = 0.01
 """Share of edges that two faces follow in one direction, beyond which the faces of a mesh do not agree on
 which side is outside"""
@@ -27,31 +33,40 @@ the share of faces where it must be"""
 
 
 def outward(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Return the triangles (F, 3) of vertices (V, 3), in their unit, counter-clockwise seen from outside.
+    """Return the triangles (F, 3) of vertices (V, 3), in metres, counter-clockwise seen from outside, without
+    those that have no area.
 
     Each part of a closed mesh has a volume. The inside of an open one is where the generalized winding number
     (Jacobson et al. 2013) is above one half, so that a cup without a bottom has one. Raises OptionError where
     it cannot be determined.
     """
-    corners = [vertices.take(triangles[:, k], axis=0) for k in range(3)]
-    a, b, c = corners
+    a, b, c = corners = [vertices.take(triangles[:, k], axis=0) for k in range(3)]
     turned = cross(b - a, c - a)
     areas = np.sqrt(dot(turned, turned))
-    if not areas.sum() > 0.0:
+    solid = areas > _LEAST_AREA
+    if not solid.any():
         raise OptionError("the prop has no faces; choose an object with a surface")
     if _closed(triangles, len(vertices)):
         part = _parts(triangles, len(vertices))
-        reversed_ = np.bincount(part, dot(a, turned))[part] < 0.0
-        return np.where(reversed_[:, None], triangles[:, ::-1], triangles)
-    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64) @ [len(vertices), 1]
+        inwards = np.bincount(part, dot(a, turned))[part] < 0.0
+    else:
+        inwards = np.full(len(triangles), _inwards(triangles, len(vertices), corners, areas / areas.sum()))
+    return np.where(inwards[:, None], triangles[:, ::-1], triangles)[solid]
+
+
+def _inwards(triangles: np.ndarray, vertex_count: int, corners: list[np.ndarray], share: np.ndarray) -> bool:
+    """Tell whether the triangles (F, 3) of an open mesh are counter-clockwise seen from inside. `corners`:
+    three of (F, 3) metres; `share`: (F,) of the mesh's area. Raises OptionError where it has no inside."""
+    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64) @ [vertex_count, 1]
     if 1.0 - len(np.unique(edges)) / len(edges) > _MOST_TWICE:
         raise OptionError("the prop's faces point both ways; recalculate its normals, then grip again")
-    rng, share = np.random.default_rng(0), areas / areas.sum()
-    asked, field, weight = rng.choice(len(areas), _SAMPLED_FACES, p=share), slice(None), 1.0
-    if len(areas) > _SAMPLED_FIELD:
-        field = rng.choice(len(areas), _SAMPLED_FIELD, p=share)
+    rng = np.random.default_rng(0)
+    asked = rng.choice(len(share), _SAMPLED_FACES, p=share)
+    field, weight = np.arange(len(share)), np.ones(1)
+    if len(share) > _SAMPLED_FIELD:
+        field = rng.choice(len(share), _SAMPLED_FIELD, p=share)
         weight = 1.0 / (_SAMPLED_FIELD * share[field])
-    middle = (a[asked] + b[asked] + c[asked])[:, None] / 3.0
+    middle = np.mean([each[asked] for each in corners], axis=0)[:, None]
     a, b, c = (each[field] - middle for each in corners)  # (asked, field, 3)
     far_a, far_b, far_c = (np.sqrt(dot(each, each)) for each in (a, b, c))
     bottom = far_a * far_b * far_c + dot(a, b) * far_c + dot(b, c) * far_a + dot(c, a) * far_b
@@ -59,9 +74,9 @@ def outward(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     # The face itself, and what lies in its plane, is seen from the edge.
     top[np.abs(top) < 1e-9 * far_a * far_b * far_c] = 0.0
     winding = (np.where(top == 0.0, 0.0, np.arctan2(top, bottom)) * weight).sum(axis=1) / (2.0 * np.pi)
-    for certain, sides in ((winding, triangles), (-winding, triangles[:, ::-1])):
-        if np.mean(certain > _CERTAIN_WINDING) >= _CERTAIN_SHARE:
-            return sides
+    for sign in (1.0, -1.0):
+        if np.mean(sign * winding > _CERTAIN_WINDING) >= _CERTAIN_SHARE:
+            return sign < 0.0
     raise OptionError(
         "the inside of the prop cannot be determined, as its mesh is open; close it or make it solid"
     )
@@ -86,8 +101,8 @@ def _parts(triangles: np.ndarray, vertex_count: int) -> np.ndarray:
 
 
 class PropSurface:
-    """The triangles (F, 3) of a prop's `vertices` (V, 3) that lie in the box between the corners `low` (3,)
-    and `high` (3,), in metres; they are counter-clockwise seen from outside."""
+    """The triangles (F, 3) of a prop's `vertices` (V, 3), as `outward` returns them, that lie in the box
+    between the corners `low` (3,) and `high` (3,), in metres."""
 
     def __init__(
         self, vertices: np.ndarray, triangles: np.ndarray, low: np.ndarray, high: np.ndarray
@@ -96,39 +111,48 @@ class PropSurface:
 
         beyond = np.packbits(np.concatenate([vertices < low, vertices > high], axis=1), axis=1)[:, 0]
         a, b, c = (beyond.take(triangles[:, k]) for k in range(3))
-        corners = vertices[triangles[a & b & c == 0]]
-        sides = corners[:, [1, 2, 0]] - corners
+        triangles = triangles[a & b & c == 0]
+        corners = np.stack([vertices.take(triangles[:, k], axis=0) for k in range(3)])
+        sides = corners[[1, 2, 0]] - corners
         squared = dot(sides, sides)
-        large = np.asarray((squared > _SPACING**2).any(axis=1))
+        large = (squared > _SPACING**2).any(axis=0)
+        small, of = np.flatnonzero(~large), np.flatnonzero(large)
         # Their longest side becomes the first one.
-        turn = (squared[large].argmax(axis=1)[:, None] + np.arange(3)) % 3
-        corners[large] = np.take_along_axis(corners[large], turn[..., None], axis=1)
-        a, b, c = corners.swapaxes(0, 1)
-        normals = cross(b - a, c - a)
-        sizes = np.sqrt(dot(normals, normals))
-        solid = sizes > 1e-14
-        a, b, c = a[solid], b[solid], c[solid]
-        along, normals = b - a, normals[solid] / sizes[solid, None]
+        corners[:, of] = corners[(squared[:, of].argmax(axis=0) + np.arange(3)[:, None]) % 3, of]
+        self._corners = corners
+        """(3, F, 3) metres: first, second and third corners of all triangles"""
+        self._axes = np.empty((len(triangles), 3, 3))
+        """(F, 3, 3) in rows the axes of each triangle: along its first side, across it, and out of it"""
+        self._flat = np.empty((len(triangles), 3, 2))
+        """(F, 3, 2) metres: the corners of each triangle, along and across its first side"""
+        self._measured = np.zeros(len(triangles), dtype=bool)
+        """(F,) bool: true for triangles whose axes and flat corners are known: few of many are ever needed"""
+        marks, owner = self._rows(of, (low + high) / 2.0, (high - low) / 2.0)
+        self._owner = np.concatenate([owner, small])
+        marks = np.concatenate([marks, (corners[0] + corners[1] + corners[2])[small] / 3.0])
+        self._tree = KDTree(marks, balanced_tree=False, compact_nodes=False)
+
+    def _measure(self, wanted: np.ndarray) -> None:
+        """Find axes and flat corners of the triangles `wanted` (...)."""
+        new = np.zeros_like(self._measured)
+        new[wanted] = True
+        new = np.flatnonzero(new & ~self._measured)
+        a, b, c = self._corners[:, new]
+        along = b - a
         length = np.sqrt(dot(along, along))
         along /= length[:, None]
-        self._origins = a
-        self._axes = np.stack([along, cross(normals, along), normals], axis=1)
-        """(F, 3, 3) in rows the axes of each triangle: along its first side, across it, and out of it"""
-        self._flat = np.zeros((len(a), 3, 2))
-        """(F, 3, 2) metres: the corners of each triangle, along and across its first side"""
-        self._flat[:, 1, 0] = length
-        self._flat[:, 2] = (self._axes[:, :2] @ (c - a)[..., None])[..., 0]
-        marks, owner = self._rows(np.flatnonzero(large[solid]), (low + high) / 2.0, (high - low) / 2.0)
-        small = np.flatnonzero(~large[solid])
-        self._owner = np.concatenate([owner, small])
-        marks = np.concatenate([marks, (a[small] + b[small] + c[small]) / 3.0])
-        self._tree = KDTree(marks, balanced_tree=False, compact_nodes=False)
+        normals = units(cross(along, c - a))
+        self._axes[new] = np.stack([along, cross(normals, along), normals], axis=1)
+        self._flat[new, :2], self._flat[new, 1, 0] = 0.0, length
+        self._flat[new, 2] = (self._axes[new, :2] @ (c - a)[..., None])[..., 0]
+        self._measured[new] = True
 
     def _rows(self, of: np.ndarray, middle: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return marks (N, 3) on the triangles `of` (M,), in rows along their first sides, where these are in
         the box around `middle` (3,) of `half` (3,) its size, and the triangle (N,) of each."""
-        axes = self._axes[of, :2]
-        box, reach = (axes @ (middle - self._origins[of])[..., None])[..., 0], np.abs(axes) @ half
+        self._measure(of)
+        axes, origins = self._axes[of, :2], self._corners[0, of]
+        box, reach = (axes @ (middle - origins)[..., None])[..., 0], np.abs(axes) @ half
         (low, lowest), (high, highest) = (box - reach).T, (box + reach).T
         length, (third, height) = self._flat[of, 1, 0], self._flat[of, 2].T
         row, lower, width = _parted(np.maximum(lowest, 0.0), np.minimum(highest, height))
@@ -139,7 +163,7 @@ class PropSurface:
         with np.errstate(divide="ignore"):
             top = np.minimum(along / third[row], (length[row] - along) / (length - third)[row]) * height[row]
         flat = np.stack([along, (lower + np.minimum(lower + width[mark], top)) / 2.0], axis=1)
-        return self._origins[of[row]] + (flat[:, None] @ axes[row])[:, 0], of[row]
+        return origins[row] + (flat[:, None] @ axes[row])[:, 0], of[row]
 
     def __len__(self) -> int:
         return len(self._owner)
@@ -147,11 +171,14 @@ class PropSurface:
     def gaps(self, points: np.ndarray, within: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
         """Return signed distances (N,) in metres of points (N, 3) from the prop, negative inside it and
         infinite beyond `within`, and their gradients (N, 3), unit vectors."""
-        near = self._tree.query(points, k=_CANDIDATES, distance_upper_bound=within + _SPACING)[1]
+        farthest = within + _SPACING
+        eps: Any = _SEARCH_ERROR  # which SciPy's annotations have as a whole number
+        near = self._tree.query(points, _CANDIDATES, eps, distance_upper_bound=farthest)[1]
         near = np.asarray(near)
         found = np.flatnonzero(near[:, 0] < len(self._owner))
         near = self._owner[np.minimum(near[found], len(self._owner) - 1)]
-        off = self._axes[near] @ (points[found, None] - self._origins[near])[..., None]
+        self._measure(near)
+        off = self._axes[near] @ (points[found, None] - self._corners[0][near])[..., None]
         off[..., :2, 0] = _beside(self._flat[near], off[..., :2, 0])
         off = off[..., 0]
         distance = np.sqrt(dot(off, off))

@@ -12,6 +12,9 @@ and less along them: w in 0..1 is how much they touch, and S, of J M^-1 J^T with
 way to a turn. A gap alone is thus closed by about the share w, touches that begin or end beside others pull
 softly, and where nothing touches x is exactly zero.
 
+An object that the character's hand holds is one more thing to touch: there u leads to the fingertip from the
+wrist, and v to where that lies on the place of the surface that is nearest to it.
+
 As w is smooth in time, so is x, mostly. Where several fingers touch at once, the best turns can jump from one
 frame to the next. So x is found for every frame on its own, the mean of frames near each other is taken, and
 from there each frame closes again, by small turns, what the mean opened.
@@ -20,7 +23,7 @@ from there each frame closes again, by small turns, what the mean opened.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Final
@@ -40,6 +43,10 @@ from handfit_core.retarget.transfer import SourceHand, TargetHand, globally
 
 PAIRS: Final = np.array(list(combinations(range(len(FINGERS)), 2)))
 """(10, 2) pairs of fingers that can touch each other, pairs with the thumb first"""
+_HELD: Final = len(FINGERS)
+"""The number that stands in a pair for the object that the hand holds"""
+_ALL_PAIRS: Final = np.concatenate([PAIRS, [(finger, _HELD) for finger in range(len(FINGERS))]])
+"""(15, 2) `PAIRS`, then each finger with what the hand holds"""
 
 
 @dataclass(frozen=True)
@@ -68,6 +75,10 @@ class TouchSettings:
     )
     """Cost of a radian squared, on the diagonal of M, for twist, spread and bend of each of the other
     fingers' joints; infinite: the angle is fixed"""
+    held_reach: tuple[float, float] = (0.008, 0.016)
+    """metres from a held object up to which a fingertip is laid on it, and from which on it is not"""
+    held_sliding: float = 0.3
+    """Share of `sliding_share` with which a fingertip keeps its place along a held object"""
     open_share: float = 0.02
     """The number e of the module's formula: the share of a gap that stays open where both skins touch"""
     sliding_share: tuple[float, float] = (0.9, 0.5)
@@ -110,8 +121,20 @@ class Fingertips:
 
 
 @dataclass(frozen=True, eq=False)
+class HeldObject:
+    """An object that keeps its place in a character's hand."""
+
+    nearest: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+    """Given points (N, 3) in the armature's space while the hand is at rest, returns how far they are from
+    the object (N,), in the armature's units and negative inside it, and unit vectors (N, 3) out of it"""
+    share: np.ndarray
+    """(T,) 0..1: how much the hand holds it in each frame"""
+
+
+@dataclass(frozen=True, eq=False)
 class Touches(Batch):
-    """The touches between a captured hand's fingertips in T frames, by the pairs of `PAIRS`."""
+    """The touches between fingertips in T frames, by the pairs of `PAIRS`; behind these may follow those with
+    what the hand holds."""
 
     weights: np.ndarray
     """(T, 10) 0..1 by `PAIRS`: how much each touch is to be kept, smooth in time; exactly 0 where none is"""
@@ -123,11 +146,18 @@ class Touches(Batch):
     """(T, 10, 2) where, on the axes of the two last bones, 0..1, the fingers are nearest to each other"""
     ways: np.ndarray
     """(T, 10, 3) metres, in rest space with the wrist at rest: from that place on the second finger to that
-    on the first"""
+    on the first; with what the hand holds, from the wrist to where that place is to be"""
+    towards: np.ndarray
+    """(T, 10, 3) unit vectors from one skin to the other"""
 
     def of(self, pairs: np.ndarray) -> Touches:
         """Return only the touches of the pairs that `pairs` (P,) names by their rows in `PAIRS`."""
         return Touches(*(values[:, pairs] for _, values in self._rows()))
+
+    def beside(self, others: Touches) -> Touches:
+        """Return these touches, and behind them those of other pairs in the same frames."""
+        rows = zip(self._rows(), others._rows(), strict=True)
+        return Touches(*(np.concatenate([own, other], axis=1) for (_, own), (_, other) in rows))
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +207,7 @@ def finding_touches(
         most[second] = np.maximum(most[second], near[first])
     # However it is rounded, a mean of ones is one.
     weights = np.maximum(near, np.minimum(_mean(most, times), 1.0))
-    return Touches(weights, gap, near == 1.0, along, ways)
+    return Touches(weights, gap, near == 1.0, along, ways, units(ways))
 
 
 def keeping_contacts(
@@ -187,9 +217,10 @@ def keeping_contacts(
     turns: np.ndarray,
     times: np.ndarray,
     keyed: np.ndarray | None = None,
+    held: HeldObject | None = None,
 ) -> Generator[float, None, ContactResult]:
-    """Have a character's fingertips touch where captured fingertips do, in steps that yield the share done,
-    0..1.
+    """Have a character's fingertips touch where captured fingertips do, and lie on what the hand holds where
+    they come near it, in steps that yield the share done, 0..1.
 
     `source`, `skins` and `turns` (T, 16, 3, 3) are the captured hand's, of the target's side; `times` (T,) in
     seconds, rising. `keyed` (K,) bool: true for bones that may turn more than captured; None: all.
@@ -202,14 +233,21 @@ def keeping_contacts(
         yield 0.0
     times = np.asarray(times, dtype=np.float64)
     found = yield from map_yields(finding_touches(source, skins, turns, times), lambda: 0.0)
-    chains = _Chains.of(target, source, skins, np.ones(len(target.bones), bool) if keyed is None else keyed)
-    x = np.zeros((len(turns), len(chains.bones)))
-    for some, done in _slices(found.weights[:, chains.pairs].max(axis=1, initial=0.0)):
-        x[some] = chains.problem(standing[some], found.select(some)).solved(x[some], 0)
+    keyed = np.ones(len(target.bones), dtype=bool) if keyed is None else keyed
+    chains = _Chains.of(target, source, skins, keyed, holds=held is not None)
+    x, on_held, both = np.zeros((len(turns), len(chains.bones))), None, found
+    if held is not None:
+        on_held = yield from map_yields(chains.finding_held(standing, x, held, times), lambda: 0.0)
+        both = found.beside(on_held)
+    for some, done in _slices(both.weights[:, chains.pairs].max(axis=1, initial=0.0)):
+        x[some] = chains.problem(standing[some], both.select(some)).solved(x[some], 0)
         yield 0.5 * done
     x = _mean(x, times)
+    if held is not None and on_held is not None:
+        again = yield from map_yields(chains.finding_held(standing, x, held, times), lambda: 0.5)
+        both = found.beside(replace(again, weights=on_held.weights))
     for some, done in _slices(np.abs(x).max(axis=1, initial=0.0)):
-        problem = chains.problem(standing[some], found.select(some))
+        problem = chains.problem(standing[some], both.select(some))
         x[some] = problem.solved(x[some], 1)
         standing[some], apart[some] = problem.turned(standing[some], x[some]), problem.apart(x[some])
         yield 0.5 + 0.5 * done
@@ -265,7 +303,8 @@ def _neighbours(times: np.ndarray) -> Generator[tuple[slice, slice, np.ndarray],
 @dataclass(frozen=True, eq=False)
 class _Chains:
     """A character's fingers, laid into the captured hand's rest space, in its metres: K bones, U angles that
-    may turn, P pairs of fingertips."""
+    may turn, P pairs of fingertips. What the hand holds is a sixth finger, of a bone K that never turns and
+    begins and ends at the wrist."""
 
     target: TargetHand
     axes: np.ndarray
@@ -274,14 +313,14 @@ class _Chains:
     """(K, 3) metres: from where the parent begins to where the bone begins, at rest; the parent's turn
     carries it"""
     last: np.ndarray
-    """(5,) the index of each finger's last bone; -1 for fingers that are not there"""
+    """(6,) the index of each finger's last bone; -1 for fingers that are not there"""
     radii: np.ndarray
-    """(5, 2) metres: the radii of the fingertips' skins at both ends"""
+    """(6, 2) metres: the radii of the fingertips' skins at both ends"""
     skins: np.ndarray
-    """(5, 2, 3) metres: from where each finger's last bone begins to both ends of the axis of its skin, which
+    """(6, 2, 3) metres: from where each finger's last bone begins to both ends of the axis of its skin, which
     lie as far from the character's fingertip as the captured ones from theirs"""
     moves: np.ndarray
-    """(K, U) bool: true where an angle moves a bone"""
+    """(K + 1, U) bool: true where an angle moves a bone"""
     bones: np.ndarray
     """(U,) the index of the bone that each angle turns"""
     which: np.ndarray
@@ -293,10 +332,18 @@ class _Chains:
     upper: np.ndarray
     """(U,) radians: the greatest value of each angle"""
     pairs: np.ndarray
-    """(P,) rows of `PAIRS` whose two fingers both have a last bone"""
+    """(P,) rows of `PAIRS`, and of those behind them, whose two fingers both have a last bone"""
 
     @classmethod
-    def of(cls, target: TargetHand, source: SourceHand, skins: Fingertips, keyed: np.ndarray) -> _Chains:
+    def of(
+        cls,
+        target: TargetHand,
+        source: SourceHand,
+        skins: Fingertips,
+        keyed: np.ndarray,
+        *,
+        holds: bool = False,
+    ) -> _Chains:
         flat = axes_of(source.joints @ REST_FROM_MODEL, source.tips @ REST_FROM_MODEL, source.side)
         flat, limits = REST_FROM_MODEL @ flat, joint_limits(source.side, source.model)
         laid = target.aligned.T @ target.corrected  # from the character's segments to ours
@@ -327,26 +374,31 @@ class _Chains:
         bones, which, turn_cost, lower, upper = np.reshape(angles, (-1, 5)).T
         bones, which = bones.astype(int), which.astype(int)
 
-        moves = np.arange(count)[:, None] == bones
+        moves = np.arange(count + 1)[:, None] == bones
         for k, parent in enumerate(target.parents):
             moves[k] |= moves[parent] if parent >= 0 else False
-        last, ends = np.full(len(FINGERS), -1), np.zeros((len(FINGERS), 2, 3))
+        last, ends = np.append(np.full(len(FINGERS), -1), count), np.zeros((_HELD + 1, 2, 3))
         for f, finger in enumerate(FINGERS):
             bone = target.last(finger)
             if bone is not None:
                 last[f] = bone
                 ends[f] = laid[bone] @ (target.tips[f] - target.heads[bone]) / target.scale
                 ends[f] += skins.ends[f] - source.tips[f]
-        first, second = last[PAIRS].T
+        first, second = last[_ALL_PAIRS if holds else PAIRS].T
         pairs = np.flatnonzero((first >= 0) & (second >= 0) & (first != second) & (len(bones) > 0))
         return cls(
-            *(target, axes, starts, last, skins.radii, ends, moves),
+            *(target, axes, starts, last, np.append(skins.radii, [[0.0, 0.0]], axis=0), ends, moves),
             *(bones, which, turn_cost, lower, upper, pairs),
         )
 
     def problem(self, standing: np.ndarray, found: Touches) -> _Problem:
         """Make the problem of N frames with touches, whose bones stand as captured: `standing`
         (N, K, 3, 3)."""
+        pairs = self.pairs[found.weights[:, self.pairs].any(axis=0)]
+        return _Problem(replace(self, pairs=pairs), self.angles(standing), found.of(pairs))
+
+    def angles(self, standing: np.ndarray) -> np.ndarray:
+        """Return twist, spread and bend (N, K, 3), in radians, of bones that stand so (N, K, 3, 3)."""
         # How bones are turned from where ours rest, in our rest space
         laid = self.target.aligned.T @ standing @ np.swapaxes(self.target.rest, -1, -2)
         whole = laid @ np.swapaxes(self.target.corrected, -1, -2) @ self.target.aligned
@@ -354,9 +406,67 @@ class _Chains:
         for k, parent in enumerate(self.target.parents):
             if parent >= 0:
                 local[:, k] = np.swapaxes(whole[:, parent], -1, -2) @ whole[:, k]
-        angles = rotmat_to_euler(np.swapaxes(self.axes, -1, -2) @ local @ self.axes)
-        pairs = self.pairs[found.weights[:, self.pairs].any(axis=0)]
-        return _Problem(replace(self, pairs=pairs), angles, found.of(pairs))
+        return rotmat_to_euler(np.swapaxes(self.axes, -1, -2) @ local @ self.axes)
+
+    def turned_by(self, angles: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return how the bones are turned (N, K + 1, 3, 3), where they begin (N, K + 1, 3) in metres, and
+        their angles (N, K, 3) in radians, with x (N, U) added to `angles` (N, K, 3)."""
+        angles = angles.copy()
+        angles[:, self.bones, self.which] += x
+        local = self.axes @ euler_to_rotmat(angles) @ np.swapaxes(self.axes, -1, -2)
+        whole = np.broadcast_to(np.eye(3), (len(local), len(self.moves), 3, 3)).copy()
+        places = np.zeros(whole.shape[:3])
+        for k, parent in enumerate(self.target.parents):
+            if parent < 0:
+                whole[:, k], places[:, k] = local[:, k], self.starts[k]
+            else:
+                whole[:, k] = whole[:, parent] @ local[:, k]
+                places[:, k] = places[:, parent] + whole[:, parent] @ self.starts[k]
+        return whole, places, angles
+
+    def ends(self, whole: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Return the ends (N, 6, 2, 3) of the axes of the fingertips' skins, in metres."""
+        return places[:, self.last, None] + np.einsum("nfab,feb->nfea", whole[:, self.last], self.skins)
+
+    def finding_held(
+        self, standing: np.ndarray, x: np.ndarray, held: HeldObject, times: np.ndarray
+    ) -> Generator[None, None, Touches]:
+        """Find in T frames, in steps of work, where fingertips are to lie on what the hand holds: touches
+        (T, 5) of bones that stand so (T, K, 3, 3), turned by x (T, U) radians more."""
+        ends, along = np.empty((len(x), _HELD, 2, 3)), np.empty((len(x), _HELD))
+        gap, places, towards = along.copy(), ends[:, :, 0].copy(), ends[:, :, 0].copy()
+        shares = np.linspace(0.0, 1.0, 5)
+        parts = range(0, len(x), TOUCHES.detect_frames)
+        for some in (slice(start, start + TOUCHES.detect_frames) for start in parts):
+            posed = self.turned_by(self.angles(standing[some]), x[some])
+            ends[some] = self.ends(*posed[:2])[:, :_HELD]
+            gaps = self._gaps(ends[some], np.broadcast_to(shares, (*along[some].shape, 5)), held)[1]
+            along[some] = shares[gaps.argmin(axis=2)]
+            yield
+        along = _mean(along, times)
+        for some in (slice(start, start + TOUCHES.detect_frames) for start in parts):
+            found = self._gaps(ends[some], along[some, :, None], held)
+            places[some], gap[some], towards[some] = (values[:, :, 0] for values in found)
+            yield
+        weights = _falling(gap, TOUCHES.held_reach) * held.share[:, None]
+        ways, now = places - gap[..., None] * towards, np.zeros(gap.shape, dtype=bool)
+        return Touches(weights, gap, now, along[..., None].repeat(2, axis=2), ways, towards)
+
+    def _gaps(
+        self, ends: np.ndarray, along: np.ndarray, held: HeldObject
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the places (N, 5, S, 3) that lie `along` (N, 5, S) axes with these ends (N, 5, 2, 3), the
+        gaps (N, 5, S) between the skin around them and what the hand holds, in metres, and the ways out of
+        that, unit vectors (N, 5, S, 3)."""
+        target, radii = self.target, self.radii[:_HELD, :, None]
+        places = ends[:, :, :1] + along[..., None] * (ends[:, :, 1:] - ends[:, :, :1])
+        distances, out = held.nearest(target.wrist + target.scale * places.reshape(-1, 3) @ target.aligned.T)
+        thick = radii[:, 0] + along * (radii[:, 1] - radii[:, 0])
+        return (
+            places,
+            distances.reshape(along.shape) / target.scale - thick,
+            (out @ target.aligned).reshape(places.shape),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -398,8 +508,8 @@ class _Problem(Batch):
         """Return the bones (N, K, 3, 3) turned by x (N, U) radians more than they stand; exactly as they were
         where x is 0."""
         chains, target = self.chains, self.chains.target
-        moved = (chains.moves & (x != 0.0)[:, None]).any(axis=-1)
-        stands = target.aligned @ self.posed(x)[0] @ target.aligned.T @ target.corrected @ target.rest
+        moved = (chains.moves[:-1] & (x != 0.0)[:, None]).any(axis=-1)
+        stands = target.aligned @ self.posed(x)[0][:, :-1] @ target.aligned.T @ target.corrected @ target.rest
         return np.where(moved[..., None, None], stands, standing)
 
     def apart(self, x: np.ndarray) -> np.ndarray:
@@ -407,31 +517,19 @@ class _Problem(Batch):
         worst."""
         chains = self.chains
         whole, places, _ = self.posed(x)
-        ends = places[:, chains.last, None] + np.einsum("nfab,feb->nfea", whole[:, chains.last], chains.skins)
-        off = np.abs(_nearest(ends, chains.radii, PAIRS[chains.pairs])[1] - self.touching.gap)
+        pairs, ends = _ALL_PAIRS[chains.pairs], chains.ends(whole, places)
+        off = np.abs(_nearest(ends, chains.radii, pairs)[1] - self.touching.gap)
         return np.max(off, axis=1, where=self.touching.now, initial=0.0)
 
     def posed(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return how the bones are turned (N, K, 3, 3), where they begin (N, K, 3) in metres, and their
-        angles (N, K, 3) in radians, under additional turns x (N, U)."""
-        chains = self.chains
-        angles = self.angles.copy()
-        angles[:, chains.bones, chains.which] += x
-        local = chains.axes @ euler_to_rotmat(angles) @ np.swapaxes(chains.axes, -1, -2)
-        whole, places = np.empty_like(local), np.empty(local.shape[:3])
-        for k, parent in enumerate(chains.target.parents):
-            if parent < 0:
-                whole[:, k], places[:, k] = local[:, k], chains.starts[k]
-            else:
-                whole[:, k] = whole[:, parent] @ local[:, k]
-                places[:, k] = places[:, parent] + whole[:, parent] @ chains.starts[k]
-        return whole, places, angles
+        """Return what `_Chains.turned_by` does, under additional turns x (N, U) in radians."""
+        return self.chains.turned_by(self.angles, x)
 
     def forward(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the residuals (N, P, 3), in metres, and their derivatives (N, P, 3, U) by x (N, U)."""
         chains = self.chains
         whole, places, angles = self.posed(x)
-        pairs = PAIRS[chains.pairs]
+        pairs = _ALL_PAIRS[chains.pairs]
         skins, share = chains.skins[pairs], self.touching.along[..., None]
         skins = skins[:, :, 0] + share * (skins[:, :, 1] - skins[:, :, 0])
         last = chains.last[pairs]
@@ -459,9 +557,10 @@ class _Problem(Batch):
         (N, P, 3, U) of the captured pose. `along`: the largest share of a distance along the skins that is
         closed."""
         gives = (slopes**2 / self.chains.turn_cost).sum(axis=(-1, -2))
-        towards, weights = units(self.touching.ways), self.touching.weights
+        towards, weights = self.touching.towards, self.touching.weights
         between = ((towards[..., None, :] @ slopes)[..., 0, :] ** 2 / self.chains.turn_cost).sum(axis=-1)
-        share = along * weights * (PAIRS[self.chains.pairs] == 0).any(axis=1)
+        first, second = _ALL_PAIRS[self.chains.pairs].T
+        share = along * weights * np.where(second == _HELD, TOUCHES.held_sliding, first == 0)
         rho = [
             weight / (np.maximum(give, 1e-9) * (1.0 - weight + TOUCHES.open_share))
             for weight, give in ((weights, between), (share, (gives - between) / 2.0))

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import bmesh
 import bpy
 import numpy as np
 import pytest
+from mathutils import Vector
 
 from blender_manient.rigs.captured_hand import bone_names
+from blender_manient.rigs.character import bones_of
 from blender_manient.scene.build import build_take
-from blender_manient.scene.characters import keep_map
+from blender_manient.scene.characters import CharacterObjects, keep_map
 from blender_manient.scene.onto_character import TransferOptions, applying, putting, reading_motion
 from blender_manient.scene.store import hand_of
 from handfit_core.common.errors import HandfitError
@@ -19,7 +22,8 @@ from handfit_core.common.slices import run_to_completion
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.anatomy import anatomical_axes, rotmats_from_angles
-from handfit_core.retarget.transfer import SourceHand
+from handfit_core.retarget.contacts import Fingertips
+from handfit_core.retarget.transfer import SourceHand, target_hand
 from tests.core.retarget.pinches import bends
 
 from .characters import BoneSpec, build_armature, hand_specs, joint_name, map_of, placed
@@ -323,3 +327,76 @@ def test_fingertips_that_cannot_meet_are_told(make_take, capfd):
     target.manient.character.right.source = hand.armature
     assert bpy.ops.manient.apply_to_character() == {"FINISHED"}
     assert f"In {done.frames} frames fingertips that touch do not meet as captured" in capfd.readouterr().out
+
+
+def index_tip(target, hand, frame: int) -> tuple[np.ndarray, np.ndarray]:
+    """Spheres that fill the tip of a character's index finger: their centres (50, 3) and radii (50,) in the
+    world's units."""
+    bpy.context.scene.frame_set(frame)
+    source = SourceHand.of(hand.shaped(), "right", hand.model().name)
+    own = target_hand(bones_of(target), map_of("right"), source)
+    skins, last = Fingertips.of(hand.model(), hand.betas), own.last("index")
+    posed = np.array(target.pose.bones[own.bones[last]].matrix)
+    turn = posed[:3, :3] @ own.rest[last].T
+    share = np.linspace(0.0, 1.0, 50)[:, None]
+    from_tip = (1.0 - share) * skins.ends[1, 0] + share * skins.ends[1, 1] - source.tips[1]
+    reach = own.tips[1] - own.heads[last] + own.scale * from_tip @ (own.corrected[last].T @ own.aligned).T
+    centres = posed[:3, 3] + reach @ turn.T
+    size = own.scale * target.matrix_world.median_scale
+    radii = size * ((1.0 - share) * skins.radii[1, 0] + share * skins.radii[1, 1])
+    return np.array([target.matrix_world @ Vector(each) for each in centres]), radii[:, 0]
+
+
+def hung(target, centre, radius: float) -> bpy.types.Object:
+    """A ball that a character's hand holds."""
+    bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=5, location=centre, rotation=(1.0, 2.0, 3.0))
+    ball = bpy.context.object
+    ball.scale = [-radius, radius, radius]
+    child = ball.constraints.new("CHILD_OF")
+    child.target, child.subtarget = target, joint_name(0, "right")
+    bone = target.pose.bones[child.subtarget]
+    child.inverse_matrix = (target.matrix_world @ bone.matrix).inverted()
+    bpy.context.view_layer.update()
+    return ball
+
+
+@pytest.mark.parametrize(("gap", "is_open"), [(0.004, False), (-0.005, False), (0.004, True)])
+def test_fingertips_lie_on_what_the_hand_holds(make_take, gap, is_open):
+    """From the frame on in which it takes it; the rest stays bit for bit."""
+    hand, target = captured(make_take), own_hand(stretch=0.1)
+    placed(target, np.random.default_rng(4), 30.0)
+    put(target, hand, contacts=True)
+    before, alone = ([curve.evaluate(frame) for curve in curves_of(target)] for frame in (8, 14))
+    centres, radii = index_tip(target, hand, 14)
+    size = radii[25] / Fingertips.of(hand.model(), hand.betas).radii[1].mean()
+    palm = np.array(target.matrix_world @ target.pose.bones[joint_name(0, "right")].center)
+    towards = (palm - centres[25]) / np.linalg.norm(palm - centres[25])
+    ball = hung(target, centres[25] + towards * (radii[25] + (0.02 + gap) * size), 0.02 * size)
+    child = ball.constraints[0]
+    for frame, influence in ((11, 0.0), (12, 1.0)):
+        child.influence = influence
+        child.keyframe_insert("influence", frame=frame)
+
+    def gap_now() -> float:
+        centres, radii = index_tip(target, hand, 14)
+        away = np.linalg.norm(centres - np.array(ball.matrix_world.translation), axis=1)
+        return (away - radii).min() / size - 0.02
+
+    if is_open:
+        mesh = bmesh.new()
+        mesh.from_mesh(ball.data)
+        bmesh.ops.delete(mesh, geom=mesh.faces[:1], context="FACES_ONLY")
+        mesh.to_mesh(ball.data)
+    assert abs(gap_now()) > 0.002
+    put(target, hand, contacts=True)
+    assert abs(gap_now()) < 0.001
+    assert [curve.evaluate(8) for curve in curves_of(target)] == before
+    assert ball in CharacterObjects.of(target).meshes
+    for child.mute, bone in ((True, 0), (False, FINGER_JOINTS["index"][0])):
+        child.subtarget = joint_name(bone, "right")
+        put(target, hand, contacts=True)
+        assert [curve.evaluate(14) for curve in curves_of(target)] == alone
+    child.subtarget = joint_name(0, "right")
+    ball.data.clear_geometry()
+    put(target, hand, contacts=True)
+    assert [curve.evaluate(14) for curve in curves_of(target)] == alone

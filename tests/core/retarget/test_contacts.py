@@ -22,14 +22,15 @@ from handfit_core.retarget.contacts import (
     TOUCHES,
     ContactResult,
     Fingertips,
+    HeldObject,
     Touches,
     finding_touches,
     keeping_contacts,
 )
 from handfit_core.retarget.hand_map import HandMap
-from handfit_core.retarget.transfer import TargetHand, mirrored_turns, target_hand
+from handfit_core.retarget.transfer import TargetHand, globally, mirrored_turns, target_hand
 from tests.core.fit.differences import by_each
-from tests.core.retarget.pinches import HELD, PINCHES, pinching, turns_of
+from tests.core.retarget.pinches import HELD, PINCHES, bends, pinching, turns_of
 from tests.core.retarget.rigs import Built, add_hand, source
 
 FPS = 30.0
@@ -76,21 +77,22 @@ def touches(side: Side, turns: np.ndarray) -> Touches:
     return run_to_completion(finding_touches(source(side), skins(side), turns, times))
 
 
+def spheres(target: TargetHand, standing: np.ndarray, f: int) -> tuple[np.ndarray, np.ndarray]:
+    """(T, 200, 3) metres of the captured hand: spheres that fill a finger's tip, and their radii (200, 1)."""
+    side, bone = target.hand_map.side, target.last(FINGERS[f])
+    assert bone is not None
+    tips = (target.points(standing)[1] - target.wrist) @ target.aligned / target.scale
+    turned = target.aligned.T @ standing[:, bone] @ target.rest[bone].T @ target.corrected[bone].T
+    share = np.linspace(0.0, 1.0, 200)[:, None]
+    ends, radii = skins(side).ends[f] - source(side).tips[f], skins(side).radii[f]
+    centres = (1.0 - share) * ends[0] + share * ends[1]
+    places = tips[:, f, None] + np.einsum("tab,cb->tca", turned @ target.aligned, centres)
+    return places, (1.0 - share) * radii[0] + share * radii[1]
+
+
 def gaps(target: TargetHand, standing: np.ndarray, finger: str) -> np.ndarray:
     """(T,) metres of the captured hand between the skins of the thumb and a finger, by many spheres."""
-    side = target.hand_map.side
-    own, tips = source(side), target.points(standing)[1] @ target.aligned / target.scale
-    found = []
-    for f in (0, FINGERS.index(finger)):
-        bone = target.last(FINGERS[f])
-        assert bone is not None
-        turned = target.aligned.T @ standing[:, bone] @ target.rest[bone].T @ target.corrected[bone].T
-        share = np.linspace(0.0, 1.0, 200)[:, None]
-        ends, radii = skins(side).ends[f] - own.tips[f], skins(side).radii[f]
-        centres = (1.0 - share) * ends[0] + share * ends[1]
-        places = tips[:, f, None] + np.einsum("tab,cb->tca", turned @ target.aligned, centres)
-        found.append((places, (1.0 - share) * radii[0] + share * radii[1]))
-    (a, r), (b, s) = found
+    (a, r), (b, s) = (spheres(target, standing, f) for f in (0, FINGERS.index(finger)))
     away = np.linalg.norm(a[:, :, None] - b[:, None], axis=-1) - r - s[:, 0]
     return away.min(axis=(1, 2))
 
@@ -269,13 +271,91 @@ def test_side_by_side_is_no_touch():
         assert low <= found.weights[0, pair] <= high
 
 
+def closing(side: Side) -> np.ndarray:
+    """(40, 16, 3, 3) a hand that closes around a ball, and from frame 20 on holds it."""
+    grasp = bends(side, "middle")
+    grasp[np.array(FINGER_JOINTS["thumb"]) - 1, 2] = np.radians([0.0, 5.0, 10.0])
+    for finger in FINGERS[1:]:
+        grasp[np.array(FINGER_JOINTS[finger]) - 1, 2] = np.radians([40.0, 40.0, 25.0])
+    share = np.clip(np.arange(40) / 20.0, 0.0, 1.0)[:, None, None]
+    return turns_of(side, share * grasp)
+
+
+def ball(target: TargetHand, turns: np.ndarray) -> HeldObject:
+    """A ball on which the captured fingertips lie at last, and that the character holds from frame 10 on."""
+    side, own = target.hand_map.side, source(target.hand_map.side)
+    last = [joints[2] for joints in FINGER_JOINTS.values()]
+    turned, joints = globally(turns[-1:])[0, last], own.points(turns[-1:])[0][0, last]
+    tips = joints + np.einsum("fab,fb->fa", turned, skins(side).ends.mean(axis=1) - own.joints[last])
+    tips, flesh = tips - own.joints[0], skins(side).radii.mean()
+    rows = np.column_stack([2.0 * tips, np.ones(5)])
+    *middle, rest = np.linalg.lstsq(rows, (tips**2).sum(axis=1), rcond=None)[0]
+    centre = target.wrist + target.scale * target.aligned @ middle
+    radius = target.scale * (np.sqrt(rest + np.square(middle).sum()) - flesh)
+
+    def nearest(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        away = points - centre
+        far = np.linalg.norm(away, axis=1)
+        return far - radius, away / far[:, None]
+
+    return HeldObject(nearest, (np.arange(len(turns)) >= 10.0) * 1.0)
+
+
+def holding(target: TargetHand, turns: np.ndarray, held: HeldObject | None) -> np.ndarray:
+    side, times = target.hand_map.side, np.arange(len(turns)) / FPS
+    steps = keeping_contacts(target, source(side), skins(side), turns, times, held=held)
+    return run_to_completion(steps).standing
+
+
+def gaps_to(target: TargetHand, standing: np.ndarray, held: HeldObject) -> np.ndarray:
+    """(5, T) metres of the captured hand between fingertips and what the hand holds, by many spheres."""
+    found = []
+    for f in range(len(FINGERS)):
+        places, radii = spheres(target, standing, f)
+        asked = target.wrist + target.scale * places.reshape(-1, 3) @ target.aligned.T
+        away = held.nearest(asked)[0].reshape(places.shape[:2]) / target.scale
+        found.append((away - radii[:, 0]).min(axis=1))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_fingertips_lie_on_what_the_hand_holds(side):
+    turns, before, after = closing(side), [], []
+    for seed in SEEDS:
+        target = character(side, seed, stretch=0.15)
+        held, plain = ball(target, turns), target.standing(turns)
+        standing = holding(target, turns, held)
+        np.testing.assert_array_equal(standing[:5], plain[:5])
+        gaps = gaps_to(target, plain[-10:], held)
+        near = np.abs(gaps) < TOUCHES.held_reach[0]
+        before.append(np.abs(gaps[near]))
+        after.append(np.abs(gaps_to(target, standing[-10:], held)[near]))
+    assert np.median(np.concatenate(before)) > 0.003
+    assert np.concatenate(after).max() < 0.001
+
+
+def test_what_is_not_held_or_out_of_reach_changes_nothing():
+    turns, target = closing("right"), character("right", 2)
+    held, alone = ball(target, turns), holding(target, turns, None)
+    assert not np.array_equal(holding(target, turns, held), alone)
+    np.testing.assert_array_equal(holding(target, turns, replace(held, share=0.0 * held.share)), alone)
+    far = replace(held, nearest=lambda points: (held.nearest(points)[0] + 1.0, held.nearest(points)[1]))
+    np.testing.assert_array_equal(holding(target, turns, far), alone)
+
+
 @pytest.mark.parametrize("finger", PINCHES)
 def test_slopes_are_those_of_differences(finger):
     rng = np.random.default_rng(9)
     turns, target = pinching("right", finger)[[25, 33]], character("right", 5)
-    found = touches("right", turns)
-    chains = contacts._Chains.of(target, source("right"), skins("right"), np.ones(15, dtype=bool))
-    problem = chains.problem(target.standing(turns), found)
+    found, standing = touches("right", turns), target.standing(turns)
+    chains = contacts._Chains.of(
+        *(target, source("right"), skins("right"), np.ones(15, dtype=bool)), holds=True
+    )
+    plane = HeldObject(lambda points: (0.0 * points[:, 0], points / 3.0), np.ones(2))
+    still = np.zeros((2, len(chains.bones)))
+    on_held = run_to_completion(chains.finding_held(standing, still, plane, np.arange(2) / FPS))
+    problem = chains.problem(standing, found.beside(on_held))
+    assert problem.forward(still)[0].shape[1] > 5
     x = rng.normal(scale=0.2, size=(2, len(chains.bones)))
     _, slopes = problem.forward(x)
     every = by_each(lambda at: problem.forward(at)[0], x).reshape(*slopes.shape[:3], 2, -1)
