@@ -22,7 +22,7 @@ from handfit_core.fit.fast import fitter_of
 from handfit_core.fit.grip import Grip, GripPoints
 from handfit_core.fit.observation import observation_of
 from handfit_core.fit.problem import Problem
-from handfit_core.fit.prop import PropSurface
+from handfit_core.fit.prop import PropSurface, outward
 from handfit_core.fit.solvers import never
 from handfit_core.fit.terms import grip, near_wrist, reprojection
 from handfit_core.geometry.rotations import rotmat_to_rotvec
@@ -200,6 +200,19 @@ def test_made_grasps_come_back(kind: str, side: Side) -> None:
         assert found[name] <= limit, name
 
 
+def test_distances_are_the_shapes_own() -> None:
+    """Also where triangles are slivers, or hundreds of metres long."""
+    points = np.random.default_rng(0).uniform(-0.05, 0.05, (2000, 3))
+    for shape in (shape_of("cylinder", np.zeros(3)), box((0.018, 30.0, 500.0), np.zeros(3))):
+        triangles = outward(shape.vertices, shape.triangles)
+        surface = PropSurface(shape.vertices, triangles, np.full(3, -0.1), np.full(3, 0.1))
+        assert len(surface) < 5000
+        found, out = surface.gaps(points)
+        np.testing.assert_allclose(found, shape.distances(points), atol=2e-4)
+        farther = surface.gaps(points + 1e-6 * out)[0]
+        assert np.mean(np.abs(farther - found - 1e-6) < 1e-8) > 0.99
+
+
 def test_the_gradient_is_the_costs() -> None:
     """Against finite differences of the cost, by the root, the place, and all angles."""
     shape, angles = grasp("ball", "right", np.zeros(10))
@@ -252,13 +265,19 @@ def test_what_is_out_of_reach_stays() -> None:
 
 
 def test_faces_may_be_reversed_or_missing() -> None:
-    """A mesh with reversed faces, one that is open at one end, and a moved one of many faces do the same."""
+    """A mesh with reversed faces, one that is open at one end, and a moved one of many faces do the same. A
+    part that is reversed by itself is turned round."""
     hand, shape = ball()
     expected = refit_grip(hand, prop_of(shape, 2)).hand_pose
     np.testing.assert_allclose(
         refit_grip(hand, prop_of(replace(shape, triangles=shape.triangles[:, ::-1]), 2)).hand_pose,
         expected,
         atol=1e-9,
+    )
+    both = np.concatenate([shape.triangles, len(shape.vertices) + shape.triangles[:, ::-1]])
+    twice = np.concatenate([shape.vertices, shape.vertices + 0.5])
+    np.testing.assert_array_equal(
+        outward(twice, both)[len(shape.triangles) :, ::-1], both[len(shape.triangles) :]
     )
     opened = replace(
         shape, triangles=shape.triangles[(shape.triangles != len(shape.vertices) - 1).all(axis=1)]
