@@ -51,8 +51,7 @@ def solve_grip(hand: RefineHand, prop: Prop, model: HandModel, should_stop: Shou
     fitter = fitter_of(model)
     own = states_of(fitter, hand, hand, posed[rows], rows)
     points, skin = (make(model, own.betas[0]) for make in (GripPoints.spheres, GripPoints.skin))
-    nothing = np.zeros((len(rows), 10))
-    grip = Grip(surface, points, turn[rows], place[rows], nothing, own, GRIPS.margin)
+    grip = Grip(surface, points, turn[rows], place[rows], np.zeros((len(rows), 10)), own, GRIPS.margin)
     grip, joints = _wanted(fitter, grip, skin, prop.fingers)
     fixed[rows] = joints | np.asarray(hand.locked, dtype=bool)
     busy = np.flatnonzero(~fixed[rows].all(axis=1))
@@ -75,11 +74,9 @@ def _wanted(fitter: FastFitter, grip: Grip, skin: GripPoints, fingers: np.ndarra
         raise OptionError(
             f"the prop is up to {1000 * palm:.0f} mm inside the palm; move it out, or grip in fewer frames"
         )
-    drawn = np.empty((len(gaps), 5, 2))
-    for level, (near, far) in enumerate((GRIPS.middle_reach, GRIPS.reach)):
-        for finger in range(5):
-            gap = gaps[:, points.pads[2 * finger + level]].min(axis=1)
-            drawn[:, finger, level] = np.clip((far - gap) / (far - near), 0.0, 1.0) * fingers[finger]
+    gap = points.of_pads(gaps).min(axis=2).reshape(-1, 5, 2)
+    near, far = np.array([GRIPS.middle_reach, GRIPS.reach]).T
+    drawn = np.clip((far - gap) / (far - near), 0.0, 1.0) * fingers[:, None]
     drawn[..., 0] *= GRIPS.middle_share * drawn[..., 1]
     of_finger = (points.finger == np.arange(5)[:, None]) & ~points.palm
     sunk = np.stack([(gaps[:, own] < 0.0).any(axis=1) for own in of_finger], axis=1) & fingers

@@ -127,9 +127,9 @@ class GripSettings:
     """metres of the palm's depth in the prop from which the wrist moves"""
     deepest_palm: float = 0.008
     """metres of the palm's depth in the prop from which on the wrist would have to move too far"""
-    skin_reach: float = 0.005
+    skin_reach: float = 0.008
     """metres from the prop, once fingers are roughly laid on it, in which the skin's vertices count"""
-    tolerances: tuple[float, float] = (0.02, 0.003)
+    tolerances: tuple[float, float] = (0.01, 0.003)
     """Relative decreases of the cost at which fingers are roughly laid on a prop, and at which they lie on
     it"""
     first_damping: float = 0.03

@@ -87,6 +87,11 @@ class GripPoints:
         at = np.where((to_back < 0.0) | (self.flesh > 0.0), owner, 0)
         return at == JOINTS_BY_FINGER[:, 1:].reshape(-1, 1)
 
+    def of_pads(self, gaps: np.ndarray) -> np.ndarray:
+        """Return the points' gaps (B, S) as (B, 10, S), for each pad infinite where a point is not part of
+        it."""
+        return np.where(self.pads, gaps[:, None], np.inf)
+
     def places(self, posed: Posed) -> np.ndarray:
         """Return where the points of B posed hands are, (B, S, 3) metres in the camera frame."""
         batch, size = len(posed.state), len(self.rest)

@@ -25,7 +25,7 @@ def grip(posed: Posed, seen: Observation) -> SkinRows:
     over = np.minimum(TERMS.prop_softness - gap, 2.0 * TERMS.prop_softness) / (2.0 * TERMS.prop_softness)
     depth = np.where(over < 1.0, TERMS.prop_softness * over**2, -gap) / TERMS.prop_penetration_sigma
     slope = -over / TERMS.prop_penetration_sigma
-    of_pad = np.where(aim.points.pads, gaps[:, None], np.inf)  # (B, 10, S)
+    of_pad = aim.points.of_pads(gaps)
     row, pad = np.nonzero(np.isfinite(of_pad.min(axis=2)) & (aim.drawn > 0.0))
     near = of_pad[row, pad].argmin(axis=1)
     drawn = aim.drawn[row, pad] / TERMS.prop_touch_sigma

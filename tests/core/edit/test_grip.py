@@ -22,7 +22,7 @@ from handfit_core.fit.fast import fitter_of
 from handfit_core.fit.grip import Grip, GripPoints
 from handfit_core.fit.observation import observation_of
 from handfit_core.fit.problem import Problem
-from handfit_core.fit.prop import PropSurface
+from handfit_core.fit.prop import PropSurface, outward
 from handfit_core.fit.solvers import never
 from handfit_core.fit.terms import grip, near_wrist, reprojection
 from handfit_core.geometry.rotations import rotmat_to_rotvec
@@ -174,12 +174,12 @@ def figures(kind: str, side: Side) -> dict[str, np.floating]:
     return {
         "sunk before": 1000.0 * np.median(-before.min(axis=1)),
         "sunk": 1000.0 * np.median(-after.min(axis=1)),
-        "deepest": 1000.0 * np.max(-after.min(axis=1)),
+        "deep": 1000.0 * np.quantile(-after.min(axis=1), 0.85),
         "open pads": np.mean(np.abs(pads[began < 0.015]) > 0.002),
         "error": errors[1].mean() / errors[0].mean(),
         "farther": np.mean(errors[1] > errors[0]),
         "in the picture": np.mean(moved / np.ptp(shown(true), axis=1).max(axis=1)),
-        "place": 1000.0 * np.abs(found.transl - hand.transl).max(),
+        "place": 1000.0 * np.quantile(np.abs(found.transl - hand.transl).max(axis=1), 0.85),
     }
 
 
@@ -188,16 +188,29 @@ def figures(kind: str, side: Side) -> dict[str, np.floating]:
 def test_made_grasps_come_back(kind: str, side: Side) -> None:
     """A sharp edge lies between two vertices of the skin. Noise of single bends leaves more open about a ball
     than a capture's noise, which is mostly depth."""
-    names = ("sunk", "deepest", "open pads", "error", "farther", "in the picture", "place")
+    names = ("sunk", "deep", "open pads", "error", "farther", "in the picture", "place")
     most = {
-        "cylinder": (0.3, 2.5, 0.05, 0.70, 0.1, 0.03, 4.0),
-        "box": (1.5, 3.0, 0.05, 0.90, 0.3, 0.04, 4.0),
-        "ball": (0.4, 2.5, 0.05, 0.98, 0.4, 0.03, 4.0),
+        "cylinder": (0.3, 1.5, 0.05, 0.70, 0.1, 0.03, 0.0),
+        "box": (1.5, 2.5, 0.05, 0.90, 0.4, 0.04, 4.0),
+        "ball": (0.4, 2.0, 0.05, 0.98, 0.4, 0.03, 0.0),
     }
     found = figures(kind, side)
     assert found["sunk before"] > 6.0
     for name, limit in zip(names, most[kind], strict=True):
         assert found[name] <= limit, name
+
+
+def test_distances_are_the_shapes_own() -> None:
+    """Also where triangles are slivers, or hundreds of metres long."""
+    points = np.random.default_rng(0).uniform(-0.05, 0.05, (2000, 3))
+    for shape in (shape_of("cylinder", np.zeros(3)), box((0.018, 30.0, 500.0), np.zeros(3))):
+        triangles = outward(shape.vertices, shape.triangles)
+        surface = PropSurface(shape.vertices, triangles, np.full(3, -0.1), np.full(3, 0.1))
+        assert len(surface) < 5000
+        found, out = surface.gaps(points)
+        np.testing.assert_allclose(found, shape.distances(points), atol=2e-4)
+        farther = surface.gaps(points + 1e-6 * out)[0]
+        assert np.mean(np.abs(farther - found - 1e-6) < 1e-8) > 0.99
 
 
 def test_the_gradient_is_the_costs() -> None:
@@ -252,13 +265,19 @@ def test_what_is_out_of_reach_stays() -> None:
 
 
 def test_faces_may_be_reversed_or_missing() -> None:
-    """A mesh with reversed faces, one that is open at one end, and a moved one of many faces do the same."""
+    """A mesh with reversed faces, one that is open at one end, and a moved one of many faces do the same. A
+    part that is reversed by itself is turned round."""
     hand, shape = ball()
     expected = refit_grip(hand, prop_of(shape, 2)).hand_pose
     np.testing.assert_allclose(
         refit_grip(hand, prop_of(replace(shape, triangles=shape.triangles[:, ::-1]), 2)).hand_pose,
         expected,
         atol=1e-9,
+    )
+    both = np.concatenate([shape.triangles, len(shape.vertices) + shape.triangles[:, ::-1]])
+    twice = np.concatenate([shape.vertices, shape.vertices + 0.5])
+    np.testing.assert_array_equal(
+        outward(twice, both)[len(shape.triangles) :, ::-1], both[len(shape.triangles) :]
     )
     opened = replace(
         shape, triangles=shape.triangles[(shape.triangles != len(shape.vertices) - 1).all(axis=1)]
