@@ -116,11 +116,11 @@ def _near(hand: CapturedHand, prop: bpy.types.Object | None) -> list[bool]:
     shown = prop and prop.evaluated_get(bpy.context.evaluated_depsgraph_get())
     if not shown or shown.type != "MESH" or not shown.data.polygons or not shown.matrix_world.determinant():
         return [True] * len(FINGERS)
-    to_hand = armature.matrix_world.inverted() @ shown.matrix_world
-    near = []
+    to_prop = shown.matrix_world.inverted() @ armature.matrix_world
+    to_hand, near = to_prop.inverted_safe(), []
     for joints in JOINTS_BY_FINGER[:, 1:]:
         ends = [armature.pose.bones[hand.rig.bones[joint]].tail for joint in joints]
-        found = [to_hand @ shown.closest_point_on_mesh(to_hand.inverted() @ end)[1] for end in ends]
+        found = [to_hand @ shown.closest_point_on_mesh(to_prop @ end)[1] for end in ends]
         gaps = [(a - b).length for a, b in zip(ends, found, strict=True)]
         near.append(min(gaps) < GRIPS.reach[1] + _FLESH)
     return near if any(near) else [True] * len(FINGERS)
@@ -182,6 +182,8 @@ class _GripFit(RangeFit):
                 carriers.append(child.target if child else prop.parent if prop.parent == armature else None)
         scene.frame_set(now[0], subframe=now[1])
         worlds, hands, spaces = np.array(matrices).swapaxes(0, 1)
+        if not np.linalg.det(hands).all():
+            raise OptionError("the hand is scaled to zero: scale it up, then grip again")
         if together:
             worlds = self._together(prop, worlds, hands, carriers)
         places = np.linalg.inv(spaces) @ worlds
@@ -203,6 +205,8 @@ class _GripFit(RangeFit):
         now, armature = self._now, self.refiner.armature
         if all(carrier == armature for carrier in carriers[:-1]):
             self._prop_rides, self._first_hand = prop.parent != armature, Matrix(hands[0])
+            if carriers[-1] is None and len(worlds) > 1:  # It was left there.
+                worlds[-1] = hands[-1] @ np.linalg.inv(hands[-2]) @ worlds[-2]
             return worlds
         if armature in carriers:
             raise OptionError(
