@@ -497,6 +497,26 @@ def test_an_object_rides_with_the_hand_and_stays_where_it_leaves_it(armature, ba
     np.testing.assert_array_equal(all_keys(armature).quats, key_before.quats)
 
 
+def test_an_object_that_rides_is_moved_into_the_palm_and_gripped_again(armature, ball):
+    """The wrist gives way without it, and it keeps its new place in the hand, the last frame included."""
+    assert bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH) == {"FINISHED"}
+    bpy.context.scene.frame_set(FIRST)
+    rig = rig_of(armature)
+    wrist, knuckle = (armature.pose.bones[rig.bones[joint]] for joint in (0, 4))
+    palm = 0.4 * wrist.head + 0.6 * knuckle.head + 2.0 * BALL * knuckle.z_axis
+    ball.location = armature.matrix_world @ palm
+    ball.keyframe_insert("location", frame=FIRST)
+    taken = world_of(ball, FIRST)
+    assert gaps_to(ball, armature).min() < -0.004
+    assert bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH) == {"FINISHED"}
+    np.testing.assert_allclose(world_of(ball, FIRST), taken, atol=1e-6)
+    places = np.array([place_on(ball, armature, frame) for frame in range(FIRST, LAST + 1)])
+    assert np.ptp(places, axis=0).max() * BALL < 1e-5
+    for frame in (FIRST, FRAME, LAST):
+        world_of(ball, frame)
+        assert gaps_to(ball, armature).min() > -0.002
+
+
 def place_on(prop, armature, frame: float) -> np.ndarray:
     """The wrist's matrix (4, 4) as the prop sees it."""
     world = world_of(prop, frame)
@@ -589,6 +609,10 @@ def test_near_fingers_are_ticked(armature, ball):
     ball.location = armature.matrix_world @ (tip.tail + 1.5 * BALL * tip.y_axis)
     bpy.context.view_layer.update()
     assert (_near(own, ball)[1], _near(own, ball)[4]) == (True, False)
+    armature.scale = (0.0, 0.0, 0.0)
+    bpy.context.view_layer.update()
+    assert len(_near(own, ball)) == 5
+    armature.scale = (1.0, 1.0, 1.0)
     ball.location.z += 1.0
     bpy.context.view_layer.update()
     assert _near(own, ball) == [True] * 5
@@ -615,6 +639,7 @@ def into_another_scene(ball) -> None:
         (lambda ball: setattr(ball.location, "z", 1.0), {}, "no finger comes near 'ball'"),
         (lambda ball: setattr(ball, "scale", (0.0, 0.0, 0.0)), {}, "has no faces"),
         (lambda ball: setattr(ball, "scale", (1e5, 1e5, 1e5)), {}, "no finger comes near 'ball'"),
+        (lambda _: setattr(bpy.context.object, "scale", (0.0, 0.0, 0.0)), {}, "the hand is scaled to zero"),
         (lambda ball: ball.data.clear_geometry(), {}, "has no faces"),
         (lambda ball: setattr(ball, "hide_viewport", True), {}, "'ball' is hidden"),
         (into_another_scene, {}, "choose an object of this scene"),
@@ -658,8 +683,9 @@ def linked(ball, path: Path):
 
 def test_a_linked_object_is_gripped_and_rides_as_an_override(armature, ball, tmp_path):
     ball = linked(ball, tmp_path / "props.blend")
-    with pytest.raises(RuntimeError, match="'ball' is linked and cannot ride"):
+    with pytest.raises(RuntimeError, match="'ball' or its action is linked and cannot ride"):
         bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH)
+    assert corrections.corrections_text(armature) == ""
     assert bpy.ops.manient.grip(prop="ball", **TOUCH) == {"FINISHED"}
     bpy.context.scene.collection.objects.unlink(ball)
     own = ball.override_create()
