@@ -97,7 +97,7 @@ def capture(
         raise TypeError("give either a CaptureOptions, or options by their names, as in hands='left'")
     stop, report = should_stop or never, progress or (lambda _: None)
     check_options(options)
-    import scipy.linalg  # noqa: F401 (only what is loaded is limited)
+    import scipy.linalg  # noqa: F401  Only a BLAS that is loaded already can be limited.
     from threadpoolctl import threadpool_limits
 
     # More threads only wait for each other where matrices are as small as a hand's.

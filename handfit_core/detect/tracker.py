@@ -180,10 +180,10 @@ def redetect(
     in_turn = time is not None and networks.take_turns
     crop = crop_around(expected)
     hand = networks.predict(rgb, crop, by_2020=in_turn)
-    off = np.linalg.norm(hand.keypoints_2d[0] - expected, axis=-1).mean()
-    if hand.certainty[0] >= tracked.min_presence and off > TRACKER.max_shift * hand.extent[0]:
-        crop = crop_around(hand.keypoints[0])
-        hand = networks.predict(rgb, crop, by_2020=in_turn)
+    if in_turn and _has_moved(hand, expected, tracked):
+        in_turn, hand = False, networks.predict(rgb, crop)
+    if _has_moved(hand, expected, tracked):
+        hand = networks.predict(rgb, crop_around(hand.keypoints[0]))
     if in_turn and time is not None:
         last = tracked.differences[-1] if tracked.differences else None
         if hand.certainty[0] >= IN_TURN.min_presence and last and not last.is_due(hand, time):
@@ -195,6 +195,13 @@ def redetect(
     crops = list(augmented_crops(hand.keypoints[0]))[1:] if networks.quality == "best" else []
     hand = _mean_with_crops(networks, rgb, hand, crops, tracked.min_presence)
     return replace(hand, shown=tracked.last.shown)
+
+
+def _has_moved(hand: Detections, expected: np.ndarray, tracked: TrackedHand) -> bool:
+    """Return True if a tracked hand was found at the edge of its crop, away from the points (21, 2), pixels,
+    where it was expected."""
+    off = np.linalg.norm(hand.keypoints_2d[0] - expected, axis=-1).mean()
+    return bool(hand.certainty[0] >= tracked.min_presence and off > TRACKER.max_shift * hand.extent[0])
 
 
 def cross_check(networks: Networks, rgb: np.ndarray, hand: Detections, min_presence: float) -> Detections:

@@ -1,16 +1,20 @@
 """Both landmark networks in turn: when the present one runs, and what stands for it where it does not."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from handfit_core.common.skeleton import Side
 from handfit_core.detect.clips import ClipFinder
+from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import DetectorSettings
 from handfit_core.detect.in_turn import IN_TURN, Difference
 from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.networks import Networks
+from handfit_core.detect.tracker import TrackedHand, redetect
 from tests.core.detect.clips import picture
 
 RNG = np.random.default_rng(5)
@@ -82,6 +86,23 @@ def test_a_difference_that_changes_fast_is_taken_again_sooner():
         change = share * IN_TURN.max_drift * 100.0 * np.array([0.6, 0.8, 0.0])
         second = Difference.of(replace(hand, keypoints=hand.keypoints + change), 2.0 + passed, first)
         assert second.is_due(alone(hand), 2.0 + 2.0 * passed) is due
+
+
+@pytest.mark.parametrize(("moved", "runs"), [(5.0, [True]), (60.0, [True, False, False])])
+def test_a_hand_that_moves_far_is_found_by_the_present_network(moved, runs):
+    """It sees a hand at the edge of its crop better than the one of December 2020 does."""
+    hand, by_2020_runs = both(), []
+
+    def predict(rgb: np.ndarray, crop: Crop, *, by_2020: bool = False) -> Detections:
+        by_2020_runs.append(by_2020)
+        return replace(alone(hand, moved), certainty=np.array([1.0]))
+
+    networks = cast(Networks, SimpleNamespace(take_turns=True, quality="standard", predict=predict))
+    tracked = TrackedHand.of(hand, 0.5)
+    tracked.points, tracked.differences = points_2020(hand)[0, :, :2], [Difference.of(hand, 2.0)]
+    assert redetect(networks, np.zeros((8, 8, 3), np.uint8), tracked, 2.1) is not None
+    assert by_2020_runs == runs
+    assert tracked.seen_alone is (runs == [True])
 
 
 @pytest.mark.usefixtures("landmark_model")
