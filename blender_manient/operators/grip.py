@@ -15,6 +15,7 @@ from handfit_core.common.skeleton import FINGERS, JOINTS_BY_FINGER
 from handfit_core.edit import Prop
 from handfit_core.edit.corrections import changed_quats, correction_between
 from handfit_core.edit.settings import GRIPS
+from handfit_core.geometry.rotations import quat_multiply, quat_to_rotmat, rotmat_to_quat
 from handfit_core.hand_model.axes import WORLD_FROM_CAMERA
 
 from ..common.wording import counted
@@ -22,7 +23,7 @@ from ..scene.actions import present_curves
 from ..scene.corrections import correct_frames
 from ..scene.keys import read_pose_keys
 from ..scene.own_scene import object_mode
-from ..scene.sampling import stepped
+from ..scene.sampling import rotations_of, stepped
 from ..scene.store import CapturedHand
 from ..session.properties import has_surface
 from ..session.refiner import Refiner
@@ -60,9 +61,10 @@ class MANIENT_OT_grip(RangeFitOperator, bpy.types.Operator):
         max=1.0,
     )
     rides: bpy.props.BoolProperty(
-        name="Object Rides with the Hand",
-        description="From the first frame to the last the object keeps its present place in the hand, by a "
-        "Child Of constraint; before and after it lies where the hand takes and leaves it",
+        name="Move Together",
+        description="From the first frame to the last the object keeps its present place in the hand. If it "
+        "stands still, it rides with the hand by a Child Of constraint, and lies before and after where the "
+        "hand takes and leaves it. If it moves, or another hand carries it, the hand rides with it",
     )
 
     _ticked_for: bpy.types.Object | None = None
@@ -95,7 +97,7 @@ class MANIENT_OT_grip(RangeFitOperator, bpy.types.Operator):
         self.layout.prop(self, "rides")
 
     def summary(self, context):
-        prop = _prop_named(context, self.prop, rides=self.rides)
+        prop = _prop_named(context, self.prop)
         count = len(self.rows(context, Refiner(polled_hand(context).armature)))
         return f"Lays fingers within 2 cm of {prop.name!r} on it, in {counted(count, 'frame')}", False
 
@@ -103,7 +105,8 @@ class MANIENT_OT_grip(RangeFitOperator, bpy.types.Operator):
         return _GripFit(self, context)
 
     def report_text(self, fit):
-        return "INFO", f"Fingers lie on {self.prop!r} in {counted(fit.fitted, 'frame')}"
+        rides = ", and the hand rides with it" * fit.hand_rides
+        return "INFO", f"Fingers lie on {self.prop!r} in {counted(fit.laid, 'frame')}{rides}"
 
 
 def _near(hand: CapturedHand, prop: bpy.types.Object | None) -> list[bool]:
@@ -113,17 +116,17 @@ def _near(hand: CapturedHand, prop: bpy.types.Object | None) -> list[bool]:
     shown = prop and prop.evaluated_get(bpy.context.evaluated_depsgraph_get())
     if not shown or shown.type != "MESH" or not shown.data.polygons or not shown.matrix_world.determinant():
         return [True] * len(FINGERS)
-    to_hand = armature.matrix_world.inverted() @ shown.matrix_world
-    near = []
+    to_prop = shown.matrix_world.inverted() @ armature.matrix_world
+    to_hand, near = to_prop.inverted_safe(), []
     for joints in JOINTS_BY_FINGER[:, 1:]:
         ends = [armature.pose.bones[hand.rig.bones[joint]].tail for joint in joints]
-        found = [to_hand @ shown.closest_point_on_mesh(to_hand.inverted() @ end)[1] for end in ends]
+        found = [to_hand @ shown.closest_point_on_mesh(to_prop @ end)[1] for end in ends]
         gaps = [(a - b).length for a, b in zip(ends, found, strict=True)]
         near.append(min(gaps) < GRIPS.reach[1] + _FLESH)
     return near if any(near) else [True] * len(FINGERS)
 
 
-def _prop_named(context: bpy.types.Context, name: str, *, rides: bool) -> bpy.types.Object:
+def _prop_named(context: bpy.types.Context, name: str) -> bpy.types.Object:
     """Return the object of that name that the hand may hold. Raises OptionError."""
     prop, hand = context.scene.objects.get(name), polled_hand(context)
     if prop is None:
@@ -134,29 +137,29 @@ def _prop_named(context: bpy.types.Context, name: str, *, rides: bool) -> bpy.ty
         raise OptionError(f"{name!r} is the hand itself: choose what it holds")
     if not prop.visible_get():
         raise OptionError(f"{name!r} is hidden: show it, then grip again")
-    if rides and prop.library is not None:
-        raise OptionError(f"{name!r} is linked and cannot be made to ride: make a library override of it")
     return prop
 
 
 class _GripFit(RangeFit):
     """The work of laying fingers on an object in the frames of a range."""
 
+    laid: int
+    """The number of frames in which fingers were laid on it"""
+    hand_rides = False
+    """True if the hand rides with the object"""
+
     def __init__(self, operator: MANIENT_OT_grip, context: bpy.types.Context) -> None:
         super().__init__(operator, context)
-        prop = _prop_named(context, operator.prop, rides=operator.rides)
-        self._name, self._strength = prop.name, operator.strength
-        self._rides = operator.rides and prop.parent != self.refiner.armature
-        fingers, frames = np.array(operator.fingers), self.refiner.scene_frames()[self.rows]
-        now = float(context.scene.frame_current_final)
-        self._placed_at = now if frames[0] <= now <= frames[-1] else float(frames[0])
+        prop = _prop_named(context, operator.prop)
+        self._name, self._strength, self._prop_rides = prop.name, operator.strength, False
         rows, refiner = self.rows.tolist(), self.refiner
+        frames, now = refiner.scene_frames()[self.rows], context.scene.frame_current_final
+        self._now = int(np.abs(frames - now).argmin()) if frames[0] <= now <= frames[-1] else 0
         if not len(read_pose_keys(refiner.hand.rig).frames):
             raise OptionError("the hand has no keys to correct: capture it again, or key it first")
         self._start = refiner.keyed_poses(rows)
-        self.requests = [
-            (len(part), self._request(part, held)) for part, held in self._held(context, prop, fingers)
-        ]
+        held = list(self._held(context.scene, prop, np.array(operator.fingers), together=operator.rides))
+        self.requests = [(len(part), self._request(part, each)) for part, each in held]
 
     def _request(self, part: np.ndarray, held: Prop) -> Any:
         rows, start = self.rows[part].tolist(), self._start.select(part)
@@ -164,42 +167,65 @@ class _GripFit(RangeFit):
         return lambda: hand() | {"prop": packed(held)}
 
     def _held(
-        self, context: bpy.types.Context, prop: bpy.types.Object, fingers: np.ndarray
+        self, scene: bpy.types.Scene, prop: bpy.types.Object, fingers: np.ndarray, *, together: bool
     ) -> Iterator[tuple[np.ndarray, Prop]]:
         """Yield groups of frames in which the object keeps its shape and size: their indices, and the object
         as it is turned and moved in them."""
-        scene, armature = context.scene, self.refiner.armature
-        frame, subframe = scene.frame_current, scene.frame_subframe
-        rest = self.refiner.hand.rig.rest
-        shapes, places, carried = [], [], None
+        armature, now = self.refiner.armature, (scene.frame_current, scene.frame_subframe)
+        shapes, matrices, carriers = [], [], []
         with object_mode():
-            graph = next(stepped(scene, [self._placed_at]))
-            here = np.array(prop.evaluated_get(graph).matrix_world)
-            from_hand = np.linalg.inv(np.array(self._hand_now(graph)))
             for graph in stepped(scene, self.refiner.scene_frames()[self.rows]):
-                shown, hand = prop.evaluated_get(graph), np.array(self._hand_now(graph))
-                world = np.array(shown.matrix_world)
-                if carried is None:
-                    carried = self._rides and _rides_by(prop, armature) is None
-                if carried:
-                    if np.abs(world - here).max() > _STILL:
-                        raise OptionError(
-                            f"{self._name!r} moves by itself in this range: untick that it rides"
-                        )
-                    world = hand @ from_hand @ world
-                to_rest = np.linalg.inv(np.array(armature.evaluated_get(graph).matrix_world))
-                place = to_rest @ world
-                place[:3, 3] += rest.origin
-                places.append(WORLD_FROM_CAMERA.T @ place[:3])
+                shown, space = prop.evaluated_get(graph), armature.evaluated_get(graph).matrix_world
                 shapes.append(_faces(shown))
-        scene.frame_set(frame, subframe=subframe)
+                matrices.append(np.array([shown.matrix_world, self._hand_now(graph), space]))
+                child = _carrying(prop)
+                carriers.append(child.target if child else prop.parent if prop.parent == armature else None)
+        scene.frame_set(now[0], subframe=now[1])
+        worlds, hands, spaces = np.array(matrices).swapaxes(0, 1)
+        if not np.linalg.det(hands).all():
+            raise OptionError("the hand is scaled to zero: scale it up, then grip again")
+        if together:
+            worlds = self._together(prop, worlds, hands, carriers)
+        places = np.linalg.inv(spaces) @ worlds
+        places[:, :3, 3] += self.refiner.hand.rig.rest.origin
+        places = WORLD_FROM_CAMERA.T @ places[:, :3]
         first = 0
         for at in range(1, len(places) + 1):
             if at < len(places) and all(map(np.array_equal, shapes[at], shapes[first])):
                 continue
-            for part, vertices, placed in _rigid_parts(shapes[first][0], np.array(places[first:at])):
+            for part, vertices, placed in _rigid_parts(shapes[first][0], places[first:at]):
                 yield first + part, Prop(vertices, shapes[first][1], placed, fingers)
             first = at
+
+    def _together(
+        self, prop: bpy.types.Object, worlds: np.ndarray, hands: np.ndarray, carriers: list[Any]
+    ) -> np.ndarray:
+        """Decide whether the object rides with the hand or the hand with it, from the matrices (N, 4, 4) of
+        both in the world and what carries the object. Returns where the object will be."""
+        now, armature = self._now, self.refiner.armature
+        if all(carrier == armature for carrier in carriers[:-1]):
+            self._prop_rides, self._first_hand = prop.parent != armature, Matrix(hands[0])
+            if carriers[-1] is None and len(worlds) > 1:  # It was left there.
+                worlds[-1] = hands[-1] @ np.linalg.inv(hands[-2]) @ worlds[-2]
+            return worlds
+        if armature in carriers:
+            raise OptionError(
+                f"{self._name!r} rides with this hand in a part of the range: grip it there only, or delete "
+                "its constraint"
+            )
+        if not any(carriers) and np.abs(worlds - worlds[now]).max() < _STILL:
+            if prop.library is not None:
+                raise OptionError(f"{prop.name!r} is linked and cannot ride: make a library override of it")
+            self._prop_rides = True
+            return hands @ np.linalg.inv(hands[now]) @ worlds
+        if armature.manient.locked[0]:
+            raise OptionError(f"{self._name!r} moves, but the wrist is locked and cannot follow: unlock it")
+        self.hand_rides = True
+        motion = np.linalg.inv(hands) @ worlds @ np.linalg.pinv(worlds[now]) @ hands[now]
+        wrists = self._start.quats[:, 0]
+        self._start.locations[:] += (quat_to_rotmat(wrists) @ motion[:, :3, 3:])[..., 0]
+        wrists[:] = quat_multiply(wrists, rotmat_to_quat(rotations_of(motion)))
+        return worlds
 
     def _hand_now(self, graph: bpy.types.Depsgraph) -> Matrix:
         """Return the matrix of the wrist's bone in the world, as it is shown."""
@@ -211,13 +237,15 @@ class _GripFit(RangeFit):
         changed |= np.abs(poses.locations - self._start.locations).max(axis=1) > _MOVED
         if not changed.any():
             raise OptionError(f"no finger comes near {self._name!r} in this range: nothing was changed")
+        self.laid = int(changed.sum())
         if self._strength < 1.0:
             turns = self._strength * correction_between(self._start.quats, poses.quats)
             poses.quats[:] = changed_quats(self._start.quats, np.zeros_like(turns), turns)
             poses.locations[:] = self._start.locations + self._strength * (
                 poses.locations - self._start.locations
             )
-        poses.quats[~changed] = poses.locations[~changed] = np.nan
+        for rows, start in ((poses.quats, self._start.quats), (poses.locations, self._start.locations)):
+            rows[~changed] = start[~changed] if self.hand_rides else np.nan
         super().received(poses)
 
     def writing(self):
@@ -228,32 +256,33 @@ class _GripFit(RangeFit):
         )
         yield 1.0
         prop = bpy.context.scene.objects.get(self._name)
-        if self._rides and prop is not None:
+        if self._prop_rides and prop is not None:
             self._ride(bpy.context.scene, prop)
 
     def _ride(self, scene: bpy.types.Scene, prop: bpy.types.Object) -> None:
         """Have the prop keep its present place in the hand from the first frame to the last, and lie where it
         takes and leaves it before and after."""
         now = scene.frame_current, scene.frame_subframe
-        first, last = self.refiner.scene_frames()[self.rows[[0, -1]]].tolist()
+        frames = self.refiner.scene_frames()[self.rows]
+        first, last = frames[[0, -1]].tolist()
         turn = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
         own = ("location", turn.get(prop.rotation_mode, "rotation_euler"), "scale")
-        steps = stepped(scene, (self._placed_at, first - 1, first, last))
+        steps = stepped(scene, (frames[self._now], first, last))
         in_hand = self._hand_now(next(steps)).inverted() @ prop.matrix_world
-        next(steps)
-        if first < last and _rides_by(prop, self.refiner.armature) is None:
-            hand = self._hand_now(next(steps))
-            child = _rides_by(prop, self.refiner.armature)
+        if first < last:
+            hand, child = self._hand_now(next(steps)), _carrying(prop)
             if child is None:
                 prop.matrix_world = hand @ in_hand
                 child = self._hung(prop, first, last)
-            child.inverse_matrix = hand.inverted()
+                child.inverse_matrix = hand.inverted()
+                for path in own:
+                    prop.keyframe_insert(path, frame=first)
+            else:
+                child.inverse_matrix = hand.inverted() @ self._first_hand @ child.inverse_matrix
             bpy.context.view_layer.update()
-            in_hand = child.inverse_matrix @ prop.matrix_world
-            for path in own:
-                prop.keyframe_insert(path, frame=first)
-            left = self._hand_now(next(steps)) @ in_hand
-            if _rides_by(prop, self.refiner.armature) is None:
+            left = hand.inverted() @ prop.matrix_world
+            left = self._hand_now(next(steps)) @ left
+            if _carrying(prop) is None:
                 prop.matrix_world = left
                 for path in own:
                     prop.keyframe_insert(path, frame=last)
@@ -275,10 +304,10 @@ class _GripFit(RangeFit):
         return child
 
 
-def _rides_by(prop: bpy.types.Object, armature: bpy.types.Object) -> Any:
-    """Return the constraint by which a prop follows a hand in the scene's frame; None without one."""
-    held = (c for c in prop.constraints if c.type == "CHILD_OF" and c.target == armature)
-    return next((c for c in held if c.influence > 0.0 and not c.mute), None)
+def _carrying(prop: bpy.types.Object) -> Any:
+    """Return the constraint by which a hand carries a prop in the scene's frame; None without one."""
+    held = (c for c in prop.constraints if c.type == "CHILD_OF" and c.influence > 0.0 and not c.mute)
+    return next((c for c in held if c.target is not None and c.target.type == "ARMATURE"), None)
 
 
 def _faces(shown: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:

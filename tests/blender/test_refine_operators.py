@@ -14,6 +14,7 @@ import bmesh
 import bpy
 import numpy as np
 import pytest
+from mathutils import Matrix
 
 import blender_manient
 from blender_manient.common import preferences
@@ -27,7 +28,13 @@ from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections
 from blender_manient.scene.build import build_take
-from blender_manient.scene.keys import PoseKeys, displayed_pose, read_pose_keys, write_pose_keys
+from blender_manient.scene.keys import (
+    PoseKeys,
+    displayed_pose,
+    read_pose_keys,
+    remove_pose_keys,
+    write_pose_keys,
+)
 from blender_manient.scene.own_keys import keyed_by_hand
 from blender_manient.scene.store import hand_of
 from blender_manient.session import shared_worker
@@ -412,7 +419,7 @@ def gaps_to(ball, armature) -> np.ndarray:
     shown.data.vertices.foreach_get("co", places)
     world = np.array(shown.matrix_world)
     places = places.reshape(-1, 3) @ world[:3, :3].T + world[:3, 3]
-    return np.linalg.norm(places - np.array(ball.location), axis=1) - BALL
+    return np.linalg.norm(places - np.array(ball.matrix_world.translation), axis=1) - BALL
 
 
 def test_fingers_are_laid_on_an_object_and_let_go_again(armature, ball):
@@ -430,14 +437,26 @@ def test_fingers_are_laid_on_an_object_and_let_go_again(armature, ball):
     assert turned(before, all_keys(armature)).max() < 1e-5
 
 
-def test_an_object_that_changes_its_shape_is_followed(armature, ball):
-    """It grows by a shape key, then it is moved by keys: both are seen where they are on each frame."""
-    ball.shape_key_add(name="Basis")
-    for point, vertex in zip(ball.shape_key_add(name="grown").data, ball.data.vertices, strict=True):
-        point.co = 1.1 * vertex.co
-    for frame, value in ((FRAME - 1, 0.0), (FRAME, 1.0)):
-        ball.data.shape_keys.key_blocks["grown"].value = value
-        ball.data.shape_keys.key_blocks["grown"].keyframe_insert("value", frame=frame)
+def key_values(owner, path: str, **values: float) -> None:
+    """Key a number on frames, given as f12=0.5."""
+    for frame, value in values.items():
+        setattr(owner, path, value)
+        owner.keyframe_insert(path, frame=int(frame[1:]))
+
+
+@pytest.mark.parametrize("by", ["shape key", "modifier"])
+def test_an_object_that_changes_its_shape_is_followed(armature, ball, by):
+    """It grows: that is seen on each frame."""
+    if by == "shape key":
+        ball.shape_key_add(name="Basis")
+        grown = ball.shape_key_add(name="grown")
+        for point, vertex in zip(grown.data, ball.data.vertices, strict=True):
+            point.co = 1.1 * vertex.co
+        key_values(grown, "value", f11=0.0, f12=1.0)
+    else:
+        grown = ball.modifiers.new("grown", "DISPLACE")
+        grown.mid_level = 0.0
+        key_values(grown, "strength", f11=0.0, f12=0.1)
     assert bpy.ops.manient.grip(prop="ball", **TOUCH) == {"FINISHED"}
     bpy.context.scene.frame_set(FRAME)
     assert -0.001 < gaps_to(ball, armature).min() - 0.1 * BALL < 0.002
@@ -472,9 +491,91 @@ def test_an_object_rides_with_the_hand_and_stays_where_it_leaves_it(armature, ba
         bpy.context.scene.frame_set(FRAME)
     assert bpy.ops.manient.export_hand(filepath=str(tmp_path / "a.glb"), file_format="glb") == {"FINISHED"}
     assert "without ball: only hands are exported" in capfd.readouterr().out
-    ball.constraints.clear()
-    with pytest.raises(RuntimeError, match="moves by itself"):
-        bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH)
+    key_before = all_keys(armature)
+    with pytest.raises(RuntimeError, match="rides with this hand in a part of the range"):
+        bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH | {"last": LAST + 3})
+    np.testing.assert_array_equal(all_keys(armature).quats, key_before.quats)
+
+
+def test_an_object_that_rides_is_moved_into_the_palm_and_gripped_again(armature, ball):
+    """The wrist gives way without it, and it keeps its new place in the hand, the last frame included."""
+    assert bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH) == {"FINISHED"}
+    bpy.context.scene.frame_set(FIRST)
+    rig = rig_of(armature)
+    wrist, knuckle = (armature.pose.bones[rig.bones[joint]] for joint in (0, 4))
+    palm = 0.4 * wrist.head + 0.6 * knuckle.head + 2.0 * BALL * knuckle.z_axis
+    ball.location = armature.matrix_world @ palm
+    ball.keyframe_insert("location", frame=FIRST)
+    taken = world_of(ball, FIRST)
+    assert gaps_to(ball, armature).min() < -0.004
+    assert bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH) == {"FINISHED"}
+    np.testing.assert_allclose(world_of(ball, FIRST), taken, atol=1e-6)
+    places = np.array([place_on(ball, armature, frame) for frame in range(FIRST, LAST + 1)])
+    assert np.ptp(places, axis=0).max() * BALL < 1e-5
+    for frame in (FIRST, FRAME, LAST):
+        world_of(ball, frame)
+        assert gaps_to(ball, armature).min() > -0.002
+
+
+def place_on(prop, armature, frame: float) -> np.ndarray:
+    """The wrist's matrix (4, 4) as the prop sees it."""
+    world = world_of(prop, frame)
+    wrist = armature.pose.bones[rig_of(armature).bones[0]]
+    return np.linalg.inv(world) @ np.array(armature.matrix_world @ wrist.matrix)
+
+
+def test_a_hand_rides_with_an_object_that_moves(armature, ball):
+    """It keeps its place on it through more than half a turn, fades out without a jump, and is let go."""
+    before, wrist = all_keys(armature), armature.pose.bones[rig_of(armature).bones[0]]
+    turn = Matrix.Rotation(0.4, 4, "X")
+    armature.matrix_world, ball.location = turn @ armature.matrix_world, turn @ ball.location
+    start = tuple(ball.location)
+    for frame, by in ((FIRST - 2, -0.5), (FRAME, 0.0), (LAST + 2, 0.7)):
+        ball.location, ball.rotation_euler.z = start + np.array([0.2 * by, 0.0, 0.1 * by]), 6.0 * by
+        for path in ("location", "rotation_euler"):
+            ball.keyframe_insert(path, frame=frame)
+    bpy.context.scene.frame_set(FRAME)
+    assert bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH) == {"FINISHED"}
+    assert not ball.constraints
+    on_ball = np.array([place_on(ball, armature, frame) for frame in np.arange(FIRST, LAST + 0.1, 0.5)])
+    assert np.ptp(on_ball[::2], axis=0)[:3, 3].max() * BALL < 1e-5
+    assert np.ptp(on_ball[::2], axis=0)[:3, :3].max() * BALL < 1e-5
+    assert np.ptp(on_ball, axis=0)[:3, 3].max() * BALL < 0.015
+    for frame in (FIRST, FRAME, LAST):
+        bpy.context.scene.frame_set(frame)
+        assert -0.001 < gaps_to(ball, armature).min() < 0.002
+    heads = []
+    for frame in range(FIRST - SPREAD, LAST + SPREAD + 1):
+        bpy.context.scene.frame_set(frame)
+        heads.append(np.array(armature.matrix_world @ wrist.head))
+    steps = np.linalg.norm(np.diff(heads, axis=0), axis=1)
+    for fading in (steps[:SPREAD], steps[-SPREAD:]):
+        assert fading.max() < 0.5 * fading.sum()
+    moved = turned(before, all_keys(armature))
+    assert moved[(before.frames <= FIRST - SPREAD) | (before.frames >= LAST + SPREAD)].max() == 0.0
+    assert bpy.ops.manient.clear_corrections(scope="ALL") == {"FINISHED"}
+    assert turned(before, all_keys(armature)).max() < 1e-5
+
+
+def test_a_second_hand_rides_with_what_the_first_one_carries(armature, ball, take_file):
+    """The second one stands on the other side of it, and goes along; the constraint stays one."""
+    assert bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH) == {"FINISHED"}
+    bpy.context.scene.frame_set(FRAME)
+    middle = Matrix.Translation(ball.matrix_world.translation)
+    other = build_take(Take.load(take_file)).hands[0].armature
+    other.matrix_world = middle @ Matrix.Rotation(np.pi, 4, "Z") @ middle.inverted() @ other.matrix_world
+    bpy.context.view_layer.objects.active = other
+    bpy.context.view_layer.update()
+    first = all_keys(armature)
+    assert bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH) == {"FINISHED"}
+    assert [child.target for child in ball.constraints] == [armature]
+    np.testing.assert_array_equal(all_keys(armature).quats, first.quats)
+    places = np.array([place_on(ball, other, frame) for frame in range(FIRST, LAST + 1)])
+    assert np.ptp(places, axis=0).max() * BALL < 1e-5
+    for frame in (FIRST, FRAME, LAST):
+        world_of(ball, frame)
+        for hand in (armature, other):
+            assert -0.001 < gaps_to(ball, hand).min() < 0.002
 
 
 @pytest.mark.parametrize("fmt", ["fbx", "glb"])
@@ -508,6 +609,10 @@ def test_near_fingers_are_ticked(armature, ball):
     ball.location = armature.matrix_world @ (tip.tail + 1.5 * BALL * tip.y_axis)
     bpy.context.view_layer.update()
     assert (_near(own, ball)[1], _near(own, ball)[4]) == (True, False)
+    armature.scale = (0.0, 0.0, 0.0)
+    bpy.context.view_layer.update()
+    assert len(_near(own, ball)) == 5
+    armature.scale = (1.0, 1.0, 1.0)
     ball.location.z += 1.0
     bpy.context.view_layer.update()
     assert _near(own, ball) == [True] * 5
@@ -520,48 +625,95 @@ def test_near_fingers_are_ticked(armature, ball):
     assert _near(own, None) == [True] * 5
 
 
-def test_what_cannot_be_gripped_says_so(armature, ball):
-    def said(fields=TOUCH) -> str:
-        with pytest.raises(RuntimeError) as caught:
-            bpy.ops.manient.grip(prop="ball", **fields)
-        assert corrections.corrections_text(armature) == ""
-        return str(caught.value)
-
-    assert "runs backwards" in said(TOUCH | {"first": LAST, "last": FIRST})
-    assert "none of the frames" in said(TOUCH | {"first": 90, "last": 95})
-    place = ball.location.copy()
-    ball.location.z += 1.0
-    assert "no finger comes near 'ball'" in said()
-    ball.location = place
-    scale = ball.scale.copy()
-    ball.scale = (0.0, 0.0, 0.0)
-    assert "has no faces" in said()
-    ball.scale = (1e5, 1e5, 1e5)
-    assert "no finger comes near 'ball'" in said()
-    ball.scale = scale
-    ball.hide_viewport = True
-    assert "'ball' is hidden" in said()
-    ball.hide_viewport = False
-    ball.data.clear_geometry()
-    assert "has no faces" in said()
-    elsewhere = bpy.data.scenes.new("elsewhere")
-    elsewhere.collection.objects.link(ball)
+def into_another_scene(ball) -> None:
     bpy.context.scene.collection.objects.unlink(ball)
-    assert "choose an object" in said()
-    bpy.data.scenes.remove(elsewhere)
-    bpy.data.objects.remove(ball)
-    assert "choose an object" in said()
+    bpy.data.scenes.new("elsewhere").collection.objects.link(ball)
 
 
-def test_a_linked_object_is_gripped_but_does_not_ride(armature, ball, tmp_path):
-    bpy.data.libraries.write(str(tmp_path / "props.blend"), {ball})
+@pytest.mark.parametrize(
+    ("spoil", "fields", "said"),
+    [
+        (None, {"first": LAST, "last": FIRST}, "runs backwards"),
+        (None, {"first": 90, "last": 95}, "none of the frames"),
+        (None, {"prop": "right hand of hand"}, "has no surface"),
+        (lambda ball: setattr(ball.location, "z", 1.0), {}, "no finger comes near 'ball'"),
+        (lambda ball: setattr(ball, "scale", (0.0, 0.0, 0.0)), {}, "has no faces"),
+        (lambda ball: setattr(ball, "scale", (1e5, 1e5, 1e5)), {}, "no finger comes near 'ball'"),
+        (lambda _: setattr(bpy.context.object, "scale", (0.0, 0.0, 0.0)), {}, "the hand is scaled to zero"),
+        (lambda ball: ball.data.clear_geometry(), {}, "has no faces"),
+        (lambda ball: setattr(ball, "hide_viewport", True), {}, "'ball' is hidden"),
+        (into_another_scene, {}, "choose an object of this scene"),
+        (lambda ball: bpy.data.objects.remove(ball), {}, "choose an object of this scene"),
+    ],
+)
+@pytest.mark.parametrize("together", [None, "still", "moving"])
+def test_what_cannot_be_gripped_says_so(armature, ball, spoil, fields, said, together):
+    before = all_keys(armature)
+    if together == "moving":
+        for frame in (FIRST, LAST):
+            ball.delta_location.x = 1e-4 * frame
+            ball.keyframe_insert("delta_location", frame=frame)
+    if spoil is not None:
+        spoil(ball)
+    with pytest.raises(RuntimeError, match=said):
+        bpy.ops.manient.grip(**{"prop": "ball", "rides": bool(together)} | TOUCH | fields)
+    assert corrections.corrections_text(armature) == ""
+    np.testing.assert_array_equal(all_keys(armature).quats, before.quats)
+    assert bpy.context.scene.frame_current == FRAME
+    assert not any(prop.constraints for prop in bpy.data.objects if prop.name == "ball")
+
+
+def test_an_object_is_deleted_after(armature, ball):
+    before = all_keys(armature)
+    assert bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH) == {"FINISHED"}
     bpy.data.objects.remove(ball)
-    with bpy.data.libraries.load(str(tmp_path / "props.blend"), link=True) as (_, wanted):
+    assert bpy.ops.manient.clear_corrections(scope="ALL") == {"FINISHED"}
+    assert turned(before, all_keys(armature)).max() < 1e-5
+
+
+def linked(ball, path: Path):
+    """Return the ball linked from a file."""
+    bpy.data.libraries.write(str(path), {ball})
+    bpy.data.objects.remove(ball)
+    with bpy.data.libraries.load(str(path), link=True) as (_, wanted):
         wanted.objects = ["ball"]
     bpy.context.scene.collection.objects.link(wanted.objects[0])
-    with pytest.raises(RuntimeError, match="'ball' is linked and cannot be made to ride"):
+    return wanted.objects[0]
+
+
+def test_a_linked_object_is_gripped_and_rides_as_an_override(armature, ball, tmp_path):
+    ball = linked(ball, tmp_path / "props.blend")
+    with pytest.raises(RuntimeError, match="'ball' is linked and cannot ride"):
         bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH)
     assert bpy.ops.manient.grip(prop="ball", **TOUCH) == {"FINISHED"}
+    bpy.context.scene.collection.objects.unlink(ball)
+    own = ball.override_create()
+    bpy.context.scene.collection.objects.link(own)
+    bpy.context.scene.frame_set(FRAME)
+    assert bpy.ops.manient.grip(prop=own.name, rides=True, **TOUCH) == {"FINISHED"}
+    places = np.array([place_on(own, armature, frame) for frame in range(FIRST, LAST + 1)])
+    assert np.ptp(places, axis=0).max() * BALL < 1e-5
+
+
+def test_a_hand_rides_with_a_linked_object_that_moves(armature, ball, tmp_path):
+    for frame in (FIRST, LAST):
+        ball.delta_location.x = 0.01 * (frame - FRAME)
+        ball.keyframe_insert("delta_location", frame=frame)
+    ball = linked(ball, tmp_path / "props.blend")
+    armature.manient.locked[0] = True
+    with pytest.raises(RuntimeError, match="the wrist is locked"):
+        bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH)
+    armature.manient.locked[0] = False
+    assert bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH) == {"FINISHED"}
+    places = np.array([place_on(ball, armature, frame) for frame in range(FIRST, LAST + 1)])
+    assert np.ptp(places, axis=0).max() * BALL < 1e-5
+
+
+def test_frames_without_keys_are_gripped_too(armature, ball):
+    remove_pose_keys(rig_of(armature), FIRST - 2, np.inf)
+    assert bpy.ops.manient.grip(prop="ball", **TOUCH) == {"FINISHED"}
+    assert len(corrections.corrected_frames(armature)) == LAST - FIRST + 1
+    assert -0.001 < gaps_to(ball, armature).min() < 0.002
 
 
 def test_a_hand_without_keys_grips_nothing(armature, ball):
