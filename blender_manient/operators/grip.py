@@ -158,7 +158,7 @@ class _GripFit(RangeFit):
         if not len(read_pose_keys(refiner.hand.rig).frames):
             raise OptionError("the hand has no keys to correct: capture it again, or key it first")
         self._start = refiner.keyed_poses(rows)
-        held = list(self._held(context.scene, prop, np.array(operator.fingers), together=operator.rides))
+        held = self._held(context.scene, prop, np.array(operator.fingers), together=operator.rides)
         self.requests = [(len(part), self._request(part, each)) for part, each in held]
 
     def _request(self, part: np.ndarray, held: Prop) -> Any:
@@ -214,8 +214,9 @@ class _GripFit(RangeFit):
                 "its constraint"
             )
         if not any(carriers) and np.abs(worlds - worlds[now]).max() < _STILL:
-            if prop.library is not None:
-                raise OptionError(f"{prop.name!r} is linked and cannot ride: make a library override of it")
+            action = prop.animation_data and prop.animation_data.action
+            if prop.library is not None or (action and action.library is not None):
+                raise OptionError(f"{prop.name!r} or its action is linked and cannot ride: make it local")
             self._prop_rides = True
             return hands @ np.linalg.inv(hands[now]) @ worlds
         if armature.manient.locked[0]:
@@ -241,9 +242,7 @@ class _GripFit(RangeFit):
         if self._strength < 1.0:
             turns = self._strength * correction_between(self._start.quats, poses.quats)
             poses.quats[:] = changed_quats(self._start.quats, np.zeros_like(turns), turns)
-            poses.locations[:] = self._start.locations + self._strength * (
-                poses.locations - self._start.locations
-            )
+            poses.locations[:] -= (1.0 - self._strength) * (poses.locations - self._start.locations)
         for rows, start in ((poses.quats, self._start.quats), (poses.locations, self._start.locations)):
             rows[~changed] = start[~changed] if self.hand_rides else np.nan
         super().received(poses)
@@ -256,41 +255,39 @@ class _GripFit(RangeFit):
         )
         yield 1.0
         prop = bpy.context.scene.objects.get(self._name)
-        if self._prop_rides and prop is not None:
+        if self._prop_rides and prop is not None and len(self.rows) > 1:
             self._ride(bpy.context.scene, prop)
 
     def _ride(self, scene: bpy.types.Scene, prop: bpy.types.Object) -> None:
         """Have the prop keep its present place in the hand from the first frame to the last, and lie where it
         takes and leaves it before and after."""
         now = scene.frame_current, scene.frame_subframe
-        frames = self.refiner.scene_frames()[self.rows]
-        first, last = frames[[0, -1]].tolist()
+        kept, first, last = self.refiner.scene_frames()[self.rows[[self._now, 0, -1]]].tolist()
         turn = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
         own = ("location", turn.get(prop.rotation_mode, "rotation_euler"), "scale")
-        steps = stepped(scene, (frames[self._now], first, last))
+        steps = stepped(scene, (kept, first, last))
         in_hand = self._hand_now(next(steps)).inverted() @ prop.matrix_world
-        if first < last:
-            hand, child = self._hand_now(next(steps)), _carrying(prop)
-            if child is None:
-                prop.matrix_world = hand @ in_hand
-                child = self._hung(prop, first, last)
-                child.inverse_matrix = hand.inverted()
-                for path in own:
-                    prop.keyframe_insert(path, frame=first)
-            else:
-                child.inverse_matrix = hand.inverted() @ self._first_hand @ child.inverse_matrix
-            bpy.context.view_layer.update()
-            left = hand.inverted() @ prop.matrix_world
-            left = self._hand_now(next(steps)) @ left
-            if _carrying(prop) is None:
-                prop.matrix_world = left
-                for path in own:
-                    prop.keyframe_insert(path, frame=last)
+        hand, child = self._hand_now(next(steps)), _carrying(prop)
+        if child is None:
+            prop.matrix_world = hand @ in_hand
+            child = self._hung(prop, first, last)
+            child.inverse_matrix = hand.inverted()
+            for path in own:
+                prop.keyframe_insert(path, frame=first)
             for curve in present_curves(prop):
                 if curve.data_path in (*own, child.path_from_id("influence")):
                     for key in curve.keyframe_points:
                         if first - 1 <= key.co.x < last:
                             key.interpolation = "CONSTANT"
+        else:
+            child.inverse_matrix = hand.inverted() @ self._first_hand @ child.inverse_matrix
+        bpy.context.view_layer.update()
+        in_hand = hand.inverted() @ prop.matrix_world
+        hand = self._hand_now(next(steps))
+        if _carrying(prop) is None:
+            prop.matrix_world = hand @ in_hand
+            for path in own:
+                prop.keyframe_insert(path, frame=last)
         scene.frame_set(now[0], subframe=now[1])
 
     def _hung(self, prop: bpy.types.Object, first: float, last: float) -> bpy.types.Constraint:
