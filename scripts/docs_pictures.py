@@ -87,7 +87,7 @@ def filmed_twice(folder: Path) -> dict[str, Any]:
 
 
 def filmed_in_part(folder: Path) -> dict[str, Any]:
-    """A moving hand of the benchmark, of whose movement frames 31 to 90 are filmed."""
+    """A moving hand of the benchmark, of whose movement frames 19 to 52 are filmed."""
     from blender_manient.scene.onto_character import motion_of
     from scripts.benchmark.clips import clip_shot
     from scripts.benchmark.drawing import draw
@@ -95,10 +95,10 @@ def filmed_in_part(folder: Path) -> dict[str, Any]:
 
     shot = clip_shot(0, 9, 110, 400)
     build_scene(shot, 2)
-    for number in range(60):
-        draw(shot, 30 + number, folder / "film" / f"film.{number + 1:04d}.jpg")
+    for number in range(34):
+        draw(shot, 18 + number, folder / "film" / f"film.{number + 1:04d}.jpg")
     motion = motion_of(take := shot.take(), take.hands[0])
-    numbers = motion.frames > 0  # the first key frame is before the first picture
+    numbers = slice(1, 63)  # the first key frame is before the first picture
     movement = {"turns": motion.turns[numbers, 0].tolist(), "places": motion.places[numbers].tolist()}
     return {"source": "film", "side": shot.hands[0].side, **movement}
 
@@ -110,6 +110,7 @@ SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {
     "onto_a_body": filmed_in_part,
     "several": lambda _: {"sources": ["mona_lisa.jpg", "wave"]},
     "posing": lambda _: {"source": "wave"},
+    "gripping": lambda _: {"source": "wave"},
     "placing": placed,
     "acting": lambda folder: {"source": Inputs(folder).clip(600).name},
     "two_cameras": filmed_twice,
@@ -135,7 +136,9 @@ def through_both(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 PICTURES: dict[str, tuple[Any, ...]] = {
     "empty": (cut,),
-    **dict.fromkeys(("capturing", "captured", "keypoints", "touch", "find", "box"), (whole,)),
+    **dict.fromkeys(
+        ("capturing", "captured", "keypoints", "touch", "grip", "gripped", "find", "box"), (whole,)
+    ),
     **dict.fromkeys(
         ("add-laid", "add-point-12", "character", "body", "captures", "pose-range", "live"), (whole,)
     ),

@@ -6,7 +6,7 @@ import math
 import os
 
 import bpy
-from mathutils import Matrix, Vector
+from mathutils import Matrix, Quaternion, Vector
 from stage import EDIT_TAB
 
 from handfit_core.hand_model.files import OPEN_HAND, kept_model
@@ -16,7 +16,7 @@ from scenarios.capturing import begin, capture, done, finish, hands, part
 from scenarios.character import rigify_character
 from scenarios.finding import HER_LEFT_HAND, begun, boxed_around, mode, tag_of
 from scenarios.panels import opened_by_default
-from scenarios.refine import INDEX_TIP, places, state, warmed
+from scenarios.refine import INDEX_TIP, places, refitted, state, warmed
 
 
 def tour(stage, folder, source, edited_frame=12):
@@ -93,6 +93,50 @@ def posing(stage, folder, source):
         yield from _shown(stage, "pose-range")
 
 
+def gripping(stage, folder, source, frame=12):
+    """A cup in a hand that is posed to hold a glass, from beside: Grip's dialog, and the fingers after it."""
+    bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/gripping.blend")
+    yield from stage.open_sidebar(EDIT_TAB)
+    yield from capture(stage, f"//{source}")
+    (armature,) = hands()
+    scene = bpy.context.scene
+    scene.frame_set(frame)
+    scene.use_preview_range, scene.frame_preview_start, scene.frame_preview_end = True, 8, 16
+    scene.manient.pose = "Glass Grip"
+    bpy.ops.manient.apply_pose(scope="RANGE", first=8, last=16)
+    cup = _cup_in(armature)
+    armature.select_set(True)
+    bpy.context.view_layer.objects.active = armature
+    view, space = stage.area().spaces[0].region_3d, stage.area().spaces[0]
+    beside = Quaternion((0.0, 0.0, 1.0), math.radians(-60)) @ scene.camera.matrix_world.to_quaternion()
+    view.view_perspective, view.view_rotation, view.view_distance = "PERSP", beside, 0.33
+    view.view_location = cup.location + beside @ Vector((-0.03, -0.02, 0.0))  # right of the dialog
+    space.overlay.show_bones = space.overlay.show_extras = space.overlay.show_cursor = False
+    space.overlay.show_outline_selected = False
+    yield from stage.invoke("manient.grip", rides=True)
+    yield 0.5
+    yield from stage.screenshot("grip")
+    yield from stage.key("RET")
+    yield from refitted(stage)
+    yield from _shown(stage, "gripped")
+
+
+def _cup_in(armature):
+    """A cup where the hand would hold it."""
+    bpy.ops.mesh.primitive_torus_add(
+        major_radius=0.025, minor_radius=0.005, location=(0.025, 0.0, 0.0), rotation=(math.pi / 2, 0.0, 0.0)
+    )
+    bpy.ops.mesh.primitive_cylinder_add(vertices=64, radius=0.025, depth=0.1)
+    cup = bpy.context.object
+    bpy.data.objects["Torus"].select_set(True)
+    bpy.ops.object.join()
+    cup.name = "cup"
+    wrist = armature.matrix_world @ armature.pose.bones[0].matrix
+    across = Matrix.Rotation(math.pi / 2, 4, (-0.25, 0.97, 0.0))
+    cup.matrix_world = wrist @ Matrix.Translation((0.0, 0.112, 0.044)) @ across
+    return cup
+
+
 def acting(stage, folder, source):
     """The open hand follows a clip and is recorded."""
     bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/live.blend")
@@ -157,7 +201,7 @@ def onto_a_character(stage, folder, source, frame=8):
         yield from _shown(stage, "character")
 
 
-def onto_a_body(stage, folder, source, side, turns, places, frame=75):
+def onto_a_body(stage, folder, source, side, turns, places, frame=40):
     """A character whose hand moves as `turns` (T, 3, 3) and `places` (T, 3) of the filmed one say, by keys of
     its own, gets the fingers of the film of a part of that."""
     bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/body.blend")

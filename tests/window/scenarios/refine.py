@@ -182,7 +182,7 @@ def smoothed(stage, source):
             for _ in range(notches):
                 yield from stage.key("WHEELUPMOUSE", ctrl=True)
                 yield 0.05
-            yield from _fitted(stage)
+            yield from refitted(stage)
             (armature,) = hands()
             strengths.append(armature.manient.smoothing)
             assert len(changed(armature, before)) > len(before) / 2
@@ -219,7 +219,7 @@ def range_refitted(stage, source):
         yield from stage.key("WHEELUPMOUSE", ctrl=True)
         yield 0.1
     yield from stage.key("RET")
-    yield from _fitted(stage)
+    yield from refitted(stage)
     assert {32, 45} <= set(changed(armature, before)) <= set(range(18, 49))
     yield from stage.undo()
     assert changed(hands()[0], before) == []
@@ -237,7 +237,7 @@ def _keyed_by_hand(*frames: int) -> dict[int, np.ndarray]:
     return {frame: pose_at(armature, frame) for frame in range(1, 61)}
 
 
-def _fitted(stage):
+def refitted(stage):
     """Wait for a fit that was asked for."""
     fits = part("operators.refit_range").RangeFitOperator
     yield from stage.until(fits.fitting, 10.0, "the fit to begin")
