@@ -133,7 +133,7 @@ def cut(window: np.ndarray, box: tuple[int, int, int, int] = SIDEBAR) -> np.ndar
 def through_both(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """The pictures of both cameras beside the sidebar."""
     parts = np.hstack([cut(first, PLATE), cut(second, PLATE), cut(second, BESIDE)])
-    return cv2.resize(parts, None, fx=0.62, fy=0.62, interpolation=cv2.INTER_AREA)
+    return cv2.resize(parts, None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA)
 
 
 PICTURES: dict[str, tuple[Any, ...]] = {
