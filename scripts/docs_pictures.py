@@ -39,6 +39,8 @@ SHOWN = (1120, 700)
 """pixels; enough to read the panel's text"""
 SIDEBAR = (1035, 80, 1325, 760)
 """x, y, right and bottom of the sidebar in the window, pixels"""
+RESULT = (1035, 80, 1325, 285)
+"""of its section Result"""
 PLATE, BESIDE = (215, 150, 875, 895), (1035, 80, 1300, 825)
 """of the picture that the viewport shows, and of the sidebar"""
 
@@ -131,7 +133,7 @@ def cut(window: np.ndarray, box: tuple[int, int, int, int] = SIDEBAR) -> np.ndar
 def through_both(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """The pictures of both cameras beside the sidebar."""
     parts = np.hstack([cut(first, PLATE), cut(second, PLATE), cut(second, BESIDE)])
-    return cv2.resize(parts, None, fx=0.7, fy=0.7, interpolation=cv2.INTER_AREA)
+    return cv2.resize(parts, None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA)
 
 
 PICTURES: dict[str, tuple[Any, ...]] = {
@@ -143,7 +145,7 @@ PICTURES: dict[str, tuple[Any, ...]] = {
         ("add-laid", "add-point-12", "character", "body", "captures", "pose-range", "live"), (whole,)
     ),
     "views": (through_both, "views-first", "views-second"),
-    "views-wrong": (cut,),
+    "views-wrong": (lambda window: cut(window, RESULT),),
 }
 """Name of a picture -> the function that makes it, and its screenshots if they have other names"""
 
