@@ -69,11 +69,17 @@ def _wanted(fitter: FastFitter, grip: Grip, skin: GripPoints, fingers: np.ndarra
     stay fixed."""
     posed, points = fitter.chain.pose(grip.captured), grip.points
     gaps = grip.gaps(posed)[1]
-    palm = -replace(grip, points=skin.select(skin.palm)).gaps(posed)[1].min()
-    if palm > GRIPS.deepest_palm:
-        raise OptionError(
-            f"the prop is up to {1000 * palm:.0f} mm inside the palm; move it out, or grip in fewer frames"
-        )
+    firm = skin.select(np.isin(skin.weights.argmax(axis=1), [0, *JOINTS_BY_FINGER[fingers, 0]]))
+    depth = -replace(grip, points=firm).gaps(posed)[1].min(axis=0)
+    palm, roots = (depth[at].max(initial=0.0) for at in (firm.palm, ~firm.palm))
+    for name, deep, most in (
+        ("the palm", palm, GRIPS.deepest_palm),
+        ("the roots of fingers", roots, GRIPS.deepest_root),
+    ):
+        if deep > most:
+            raise OptionError(
+                f"the prop is up to {1000 * deep:.0f} mm inside {name}; move it out, or grip in fewer frames"
+            )
     gap = points.of_pads(gaps).min(axis=2).reshape(-1, 5, 2)
     near, far = np.array([GRIPS.middle_reach, GRIPS.reach]).T
     drawn = np.clip((far - gap) / (far - near), 0.0, 1.0) * fingers[:, None]

@@ -127,6 +127,9 @@ class GripSettings:
     """metres of the palm's depth in the prop from which the wrist moves"""
     deepest_palm: float = 0.008
     """metres of the palm's depth in the prop from which on the wrist would have to move too far"""
+    deepest_root: float = 0.02
+    """metres of the depth of a finger's first bone in the prop from which on its knuckle would have to bend
+    too far"""
     skin_reach: float = 0.008
     """metres from the prop, once fingers are roughly laid on it, in which the skin's vertices count"""
     tolerances: tuple[float, float] = (0.01, 0.003)

@@ -300,6 +300,18 @@ def test_the_wrist_leaves_a_prop_in_the_palm() -> None:
         refit_grip(hand, prop_of(replace(shape, vertices=shape.vertices + [0.0, 0.02, 0.0]), 2))
 
 
+def test_knuckles_do_not_bend_for_what_is_far_inside_fingers() -> None:
+    hand, _ = ball()
+    half, knuckles = np.array([0.06, 0.1, 0.1]), joints_of(hand)[0, [5, 9, 13, 17]] - PLACE
+    for deeper, refused in ((0.0, True), (0.03, False)):
+        inside = box(tuple(half), knuckles.mean(axis=0) - [half[0] + 0.005 + deeper, 0.0, 0.0])
+        if refused:
+            with pytest.raises(OptionError, match="inside the roots of fingers"):
+                refit_grip(hand, prop_of(inside, 2))
+        else:
+            refit_grip(hand, prop_of(inside, 2))
+
+
 def test_props_that_cannot_be_held() -> None:
     hand, shape = ball()
     random = np.random.default_rng(0).random(len(shape.triangles)) < 0.3
