@@ -132,10 +132,10 @@ class GripSettings:
     too far"""
     skin_reach: float = 0.008
     """metres from the prop, once fingers are roughly laid on it, in which the skin's vertices count"""
-    tolerances: tuple[float, float] = (0.01, 0.003)
+    tolerances: tuple[float, float] = (0.03, 0.003)
     """Relative decreases of the cost at which fingers are roughly laid on a prop, and at which they lie on
     it"""
-    first_damping: float = 0.03
+    first_damping: float = 0.01
     margin: float = 0.04
     """metres around the hand, and around the middle of a finger, in which the prop's faces count"""
 

@@ -174,12 +174,12 @@ def figures(kind: str, side: Side) -> dict[str, np.floating]:
     return {
         "sunk before": 1000.0 * np.median(-before.min(axis=1)),
         "sunk": 1000.0 * np.median(-after.min(axis=1)),
-        "deep": 1000.0 * np.quantile(-after.min(axis=1), 0.85),
+        "deepest": 1000.0 * np.max(-after.min(axis=1)),
         "open pads": np.mean(np.abs(pads[began < 0.015]) > 0.002),
         "error": errors[1].mean() / errors[0].mean(),
         "farther": np.mean(errors[1] > errors[0]),
         "in the picture": np.mean(moved / np.ptp(shown(true), axis=1).max(axis=1)),
-        "place": 1000.0 * np.quantile(np.abs(found.transl - hand.transl).max(axis=1), 0.85),
+        "place": 1000.0 * np.abs(found.transl - hand.transl).max(),
     }
 
 
@@ -188,10 +188,10 @@ def figures(kind: str, side: Side) -> dict[str, np.floating]:
 def test_made_grasps_come_back(kind: str, side: Side) -> None:
     """A sharp edge lies between two vertices of the skin. Noise of single bends leaves more open about a ball
     than a capture's noise, which is mostly depth."""
-    names = ("sunk", "deep", "open pads", "error", "farther", "in the picture", "place")
+    names = ("sunk", "deepest", "open pads", "error", "farther", "in the picture", "place")
     most = {
         "cylinder": (0.3, 1.5, 0.05, 0.70, 0.1, 0.03, 0.0),
-        "box": (1.5, 2.5, 0.05, 0.90, 0.4, 0.04, 4.0),
+        "box": (1.5, 2.5, 0.05, 0.90, 0.3, 0.04, 4.0),
         "ball": (0.4, 2.0, 0.05, 0.98, 0.4, 0.03, 0.0),
     }
     found = figures(kind, side)
